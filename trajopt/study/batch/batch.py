@@ -16,12 +16,9 @@ from trajopt.study.batch.records import (
     FIGURES,
     FIRST,
     BatchRecords,
+    BatchRows,
     cases_of,
-    merged,
-    parameter_columns,
     read_request,
-    read_rows,
-    schema,
     solution_file,
 )
 from trajopt.study.batch.solved_case import BatchSettings
@@ -135,6 +132,4 @@ def dataset(folder: str | Path) -> BatchDataset:
     """
     place = expanded(folder)
     cases = cases_of(read_request(place))
-    wanted = schema(parameter_columns(cases))
-    index, new = read_rows(place, wanted)
-    return BatchDataset(folder=place, cases=tuple(cases), index=merged(index, new, wanted))
+    return BatchDataset(folder=place, cases=tuple(cases), index=BatchRows(place, cases).table())

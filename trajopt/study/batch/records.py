@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
@@ -67,6 +67,74 @@ FIGURES = {
 FIRST = ("case", "problem")
 
 
+class BatchRows:
+    """The rows of a batch: those of its index, and newer ones of its journal.
+
+    Raises `InputError` for a damaged index, or without PyArrow.
+    """
+
+    def __init__(self, folder: Path, cases: Sequence[BatchCase]) -> None:
+        self._cases, self.journal, self._index = cases, JsonLines(folder / JOURNAL), folder / INDEX
+        # The parameters, and whether each is a word in any case.
+        self._words: dict[str, bool] = {}
+        for case in cases:
+            for name, value in case.values.items():
+                self._words[name] = self._words.get(name, False) or isinstance(value, str)
+        # The journal first: rows that move to the index meanwhile are then in both instead of neither.
+        rows = self.journal.read()
+        self._old = self._read_index()
+        self._new = {row["case"]: row for row in rows if isinstance(row.get("case"), int)}
+
+    def table(self) -> pa.Table:
+        """All rows, by case."""
+        pyarrow, old = arrow(), self._old
+        fresh = pyarrow.Table.from_pylist([dict(row) for row in self._new.values()], schema=old.schema)
+        kept = old.filter(pyarrow.compute.invert(pyarrow.compute.is_in(old["case"], fresh["case"])))
+        return pyarrow.concat_tables([kept, fresh]).sort_by("case")
+
+    def add(self, index: int, figures: Mapping[str, Any]) -> dict[str, Any]:
+        """Append the row of a case to the journal; returns the row."""
+        case = self._cases[index]
+        values = {
+            column_of(name): str(value) if self._words[name] else float(value)
+            for name, value in case.values.items()
+        }
+        row = {"case": index, "problem": case.problem, **values, **figures}
+        self.journal.append(row)
+        self._new[index] = row
+        if len(self._new) >= max(LEAST_JOURNAL, self._old.num_rows // JOURNAL_PART):
+            with contextlib.suppress(InputError):  # a full disk: the journal has all rows
+                self.checkpoint()
+        return row
+
+    def checkpoint(self) -> None:
+        """Write all rows to the index and restart the journal. Raises `InputError` if that fails."""
+        if not self._new and self._index.exists():
+            return
+        table = self.table()
+        with replacing(self._index) as unfinished:
+            arrow().parquet.write_table(table, unfinished)
+        self._old, self._new = table, {}
+        self.journal.open(resume=False)
+
+    def _read_index(self) -> pa.Table:
+        pyarrow, index = arrow(), self._index
+        kinds = [("case", "int64"), ("problem", "string")]
+        kinds += [(column_of(name), "string" if word else "float64") for name, word in self._words.items()]
+        kinds += FIGURES.items()
+        wanted = pyarrow.schema([(name, getattr(pyarrow, kind)()) for name, kind in kinds])
+        if not index.exists():
+            return wanted.empty_table()
+        try:
+            table = pyarrow.parquet.read_table(index)
+        except (OSError, pyarrow.ArrowException) as error:
+            reason = str(error).splitlines()[0]
+            raise InputError(f"cannot read {index}: {reason}", "allowed: the index of a batch") from None
+        if not table.schema.equals(wanted):
+            raise InputError(f"{index} has other columns", "allowed: the index of this batch")
+        return table
+
+
 class BatchRecords:
     """The folder of a batch while it runs.
 
@@ -92,22 +160,20 @@ class BatchRecords:
         *,
         resume: bool,
     ) -> None:
-        self.folder, self._cases = expanded(folder), cases
-        self._words = parameter_columns(cases)
-        self._schema = schema(self._words)
+        self.folder = expanded(folder)
         head = {
             "cases": [[case.problem, dict(case.values)] for case in cases],
             "settings": asdict(settings),
             "versions": dict(versions),
         }
+        arrow()  # refused before a folder is made
         self._begin(head, resume)
         self._lock = self._locked()
-        self._journal = JsonLines(self.folder / JOURNAL)
-        self._journal.open(resume=True)
-        self._index, self._new = read_rows(self.folder, self._schema)
-        rows = (self.table()[name].to_pylist() for name in ("case", "success", "status"))
+        self._rows = BatchRows(self.folder, cases)
+        self._rows.journal.open(resume=True)
+        columns = (self._rows.table()[name].to_pylist() for name in ("case", "success", "status"))
         self.solved: dict[int, bool] = {
-            case: bool(success) for case, success, status in zip(*rows, strict=True) if status not in RERUN
+            case: bool(success) for case, success, status in zip(*columns, strict=True) if status not in RERUN
         }
 
     def __enter__(self) -> BatchRecords:
@@ -115,7 +181,7 @@ class BatchRecords:
 
     def __exit__(self, *error: object) -> None:
         try:
-            self.checkpoint()
+            self._rows.checkpoint()
         except InputError as failed:
             journal = self.folder / JOURNAL
             raise InputError(
@@ -141,38 +207,15 @@ class BatchRecords:
                 figures["file"] = solution_file(index)
             except (InputError, OSError) as error:
                 figures |= {"success": False, "status": NOT_SAVED, "detail": f"{error}"}
-        case = self._cases[index]
-        values = {
-            column_of(name): str(value) if self._words[name] else float(value)
-            for name, value in case.values.items()
-        }
-        row = {"case": index, "problem": case.problem, **values, **figures}
         try:
-            self._journal.append(row)
+            row = self._rows.add(index, figures)
         except OSError as error:
             raise InputError(
                 f"cannot write {self.folder / JOURNAL}: {error.strerror}",
                 f"{len(self.solved)} cases are done and kept; free space, then `resume`",
             ) from None
-        self._new[index], self.solved[index] = row, bool(figures["success"])
-        if len(self._new) >= max(LEAST_JOURNAL, self._index.num_rows // JOURNAL_PART):
-            with contextlib.suppress(InputError):  # a full disk: the journal has all rows
-                self.checkpoint()
+        self.solved[index] = bool(figures["success"])
         return row
-
-    def checkpoint(self) -> None:
-        """Write all rows to the index and restart the journal. Raises `InputError` if that fails."""
-        if not self._new and (self.folder / INDEX).exists():
-            return
-        table = self.table()
-        with replacing(self.folder / INDEX) as unfinished:
-            arrow().parquet.write_table(table, unfinished)
-        self._index, self._new = table, {}
-        self._journal.open(resume=False)
-
-    def table(self) -> pa.Table:
-        """All rows, by case."""
-        return merged(self._index, self._new, self._schema)
 
     def content(self, index: int) -> bytes:
         """Content of a case's solution file. Raises `InputError` if it is missing."""
@@ -268,31 +311,6 @@ def _require_no_link(place: Path) -> None:
         raise InputError(f"{place} is a symbolic link", "allowed: files and folders of the batch itself")
 
 
-def read_rows(folder: Path, wanted: pa.Schema) -> tuple[pa.Table, dict[int, dict[str, Any]]]:
-    """The index, and the journal's rows by case. Raises `InputError` for a damaged index."""
-    pyarrow, index = arrow(), expanded(folder) / INDEX
-    # The journal first: rows that move to the index meanwhile are then in both instead of neither.
-    rows = JsonLines(expanded(folder) / JOURNAL).read()
-    table = wanted.empty_table()
-    if index.exists():
-        try:
-            table = pyarrow.parquet.read_table(index)
-        except (OSError, pyarrow.ArrowException) as error:
-            reason = str(error).splitlines()[0]
-            raise InputError(f"cannot read {index}: {reason}", "allowed: the index of a batch") from None
-        if not table.schema.equals(wanted):
-            raise InputError(f"{index} has other columns", "allowed: the index of this batch")
-    return table, {row["case"]: row for row in rows if isinstance(row.get("case"), int)}
-
-
-def merged(index: pa.Table, new: Mapping[int, Mapping[str, Any]], wanted: pa.Schema) -> pa.Table:
-    """The index with newer rows merged in, sorted by case."""
-    pyarrow = arrow()
-    fresh = pyarrow.Table.from_pylist([dict(row) for row in new.values()], schema=wanted)
-    old = index.filter(pyarrow.compute.invert(pyarrow.compute.is_in(index["case"], fresh["case"])))
-    return pyarrow.concat_tables([old, fresh]).sort_by("case")
-
-
 def arrow() -> Any:
     """PyArrow with its Parquet module; if it is missing, raises an `InputError` that names the extra."""
     for name in ("pyarrow.parquet", "pyarrow"):
@@ -300,25 +318,6 @@ def arrow() -> Any:
     return package
 
 
-def parameter_columns(cases: Iterable[BatchCase]) -> dict[str, bool]:
-    """Columns of all parameters of the cases, and whether each holds words."""
-    columns: dict[str, bool] = {}
-    for case in cases:
-        for name, value in case.values.items():
-            columns[name] = columns.get(name, False) or isinstance(value, str)
-    return columns
-
-
 def column_of(name: str) -> str:
     """The column of a parameter: its name, with a prefix if another column has it."""
     return f"parameter_{name}" if name in FIGURES or name in FIRST else name
-
-
-def schema(words: Mapping[str, bool]) -> pa.Schema:
-    """Names and types of all columns, with the parameters from `parameter_columns`."""
-    pyarrow = arrow()
-    parameters = [
-        (column_of(name), pyarrow.string() if word else pyarrow.float64()) for name, word in words.items()
-    ]
-    figures = [(name, getattr(pyarrow, kind)()) for name, kind in FIGURES.items()]
-    return pyarrow.schema([("case", pyarrow.int64()), ("problem", pyarrow.string()), *parameters, *figures])
