@@ -3,7 +3,6 @@
 import json
 import platform
 import re
-import threading
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -18,30 +17,30 @@ UNKNOWN = "unknown"
 
 
 class JsonLines:
-    """A file of JSON objects, one per line; without a path, nothing is stored. Any thread may append.
-
-    Raises InputError if it cannot be written.
-    """
+    """A file of JSON objects, one per line; without a path, nothing is stored."""
 
     def __init__(self, path: Path | None) -> None:
         self.path = path
-        self._lock = threading.Lock()
 
     def open(self, *, resume: bool) -> list[dict[str, Any]]:
-        """Create the folder, and the file unless it is resumed; returns its objects."""
+        """Create the folder and the file, which is emptied unless it is resumed; returns its objects.
+
+        Raises `InputError` if it cannot be written, or holds something else.
+        """
         if self.path is None:
             return []
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            if not resume and not self._is_own():
-                raise InputError(
-                    f"cannot write {self.path}: it is there and holds no results", "allowed: another folder"
-                )
-            with self.path.open("a+" if resume else "w+", encoding="utf-8") as stream:
+            with self.path.open("a+", encoding="utf-8", errors="replace") as stream:
                 stream.seek(0)
                 text = stream.read()
-                if text and not text.endswith("\n"):  # a line cut off by a crash
+                if resume and text and not text.endswith("\n"):  # a line cut off by a crash
                     stream.write("\n")
+                elif not resume and text and not text.startswith("{"):
+                    reason = "it is there and holds no results"
+                    raise InputError(f"cannot write {self.path}: {reason}", "allowed: another folder")
+                elif not resume:
+                    stream.truncate(0)
         except OSError as error:
             reason = error.strerror or error
             raise InputError(
@@ -65,23 +64,14 @@ class JsonLines:
         """
         if self.path is None:
             return []
-        known = self.read() if resume else []
-        if resume:
-            # Files of earlier versions have it below a name.
-            first = known[0].get("head", known[0]) if known else {}
-            require_same(self.path.parent, kind, first, head, words)
-        self.open(resume=resume)
         if not resume:
+            self.open(resume=False)
             self.append(head)
-        return known[1:]
-
-    def _is_own(self) -> bool:
-        """Whether there is no file yet, an empty one, or one whose first line is a JSON object."""
-        if self.path is None or not self.path.is_file():
-            return True
-        with self.path.open(encoding="utf-8", errors="replace") as stream:
-            first = stream.readline()
-        return not first or first.startswith("{")
+            return []
+        known = self.read() or [{}]
+        # Sweeps of earlier versions have it below a name.
+        require_same(self.path.parent, kind, known[0].get("head", known[0]), head, words)
+        return self.open(resume=True)[1:]
 
     def read(self) -> list[dict[str, Any]]:
         """All objects; invalid lines are skipped, so their results are computed again."""
@@ -96,7 +86,7 @@ class JsonLines:
     def append(self, entry: Mapping[str, Any]) -> None:
         """Write one object."""
         if self.path is not None:
-            with self._lock, self.path.open("a", encoding="utf-8") as stream:
+            with self.path.open("a", encoding="utf-8") as stream:
                 stream.write(json.dumps(entry) + "\n")
 
     def remove(self) -> None:
