@@ -42,9 +42,9 @@ class JsonLines:
                 elif not resume:
                     stream.truncate(0)
         except OSError as error:
-            reason = error.strerror or error
             raise InputError(
-                f"cannot write {self.path}: {reason}", "allowed: a folder that can be written"
+                f"cannot write {self.path}: {error.strerror or error}",
+                "allowed: a folder that can be written",
             ) from None
         return self.read()
 
