@@ -82,14 +82,12 @@ def plot_failures(table: pa.Table, parameters: list[str], title: str, folder: Pa
     names = varied(table, parameters)
     if not names:
         return None
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     pairs = list(combinations(names, 2))[:MOST_PAIRS] or [(names[0], "objective")]
     columns = min(3, len(pairs))
     rows = -(-len(pairs) // columns)
     figure = Figure(figsize=(SIDE * columns + 1.2, SIDE * rows), dpi=DOTS, layout="constrained")
-    FigureCanvasAgg(figure)
     for number, (x, y) in enumerate(pairs):
         _points(figure.add_subplot(rows, columns, number + 1), table, x, y)
     handles, labels = figure.axes[0].get_legend_handles_labels()
