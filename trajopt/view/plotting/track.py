@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import pinocchio as pin
@@ -18,9 +18,9 @@ from trajopt.motion.energy_use import cost_of_transport, energy
 from trajopt.motion.resampling import resampled, sample_interval
 from trajopt.solution.interpolation import MotionSample
 from trajopt.solution.solution import Solution
+from trajopt.view.plotting import style
 from trajopt.view.plotting.joints import JointAxis, axes_of
 from trajopt.view.plotting.motion import PlottedMotion
-from trajopt.view.plotting.style import short
 from trajopt.view.replay.motion import PhaseSpan, phase_spans
 
 # Approximate number of samples drawn of a motion: a line across a page has no more dots.
@@ -49,10 +49,19 @@ UNITS = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Track:
-    """A solution with its ``label``; ``dense`` is its interpolated motion and ``points`` its own samples."""
+    """One of several solutions in a plot.
+
+    Args:
+        label: its name.
+        solution: the plan or simulated motion.
+        number: among the solutions.
+        dense: the interpolated motion.
+        points: its own samples.
+    """
 
     label: str
     solution: Solution
+    number: int = 0
     dense: PlottedMotion = field(init=False)
     points: PlottedMotion = field(init=False)
 
@@ -60,6 +69,11 @@ class Track:
         plan = self.solution.normalized()
         object.__setattr__(self, "points", PlottedMotion(plan))
         object.__setattr__(self, "dense", PlottedMotion(between_points(plan)))
+
+    @property
+    def line_style(self) -> Any:
+        """The line style of its curves."""
+        return style.line_style(self.number)
 
     @property
     def is_simulated(self) -> bool:
@@ -85,7 +99,7 @@ class Track:
     @cached_property
     def phases(self) -> tuple[PhaseSpan, ...]:
         """The phases in time order."""
-        return tuple(replace(span, name=short(span.name)) for span in phase_spans(self.solution))
+        return tuple(replace(span, name=style.short(span.name)) for span in phase_spans(self.solution))
 
     @property
     def impact_times(self) -> list[float]:
@@ -203,7 +217,8 @@ def tracks_of(solutions: Sequence[Solution], labels: Sequence[str] | None = None
             )
     names = [str(label) for label in labels] if labels else _labels(solutions)
     return tuple(
-        Track(label=label, solution=solution) for label, solution in zip(names, solutions, strict=True)
+        Track(label=label, solution=solution, number=number)
+        for number, (label, solution) in enumerate(zip(names, solutions, strict=True))
     )
 
 

@@ -1,16 +1,20 @@
 """A report of one or several solutions, as pictures, a document to print, or one HTML file."""
 
+from __future__ import annotations
+
 import io
 from base64 import b64encode
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from trajopt.arguments import checked
 from trajopt.errors import InputError, not_among
+from trajopt.simulation.push import PushReport
 from trajopt.solution.input import solutions_of
 from trajopt.solution.output import check_output, replacing
 from trajopt.solution.solution import Solution
@@ -20,11 +24,19 @@ from trajopt.view.plotting import topics_accuracy as accuracy
 from trajopt.view.plotting import topics_base as base
 from trajopt.view.plotting import topics_contacts as contacts
 from trajopt.view.plotting import topics_joints as joints
-from trajopt.view.plotting import topics_limits as limits
-from trajopt.view.plotting.draw import PlotPage, PlotRow, Tracks, page_of
-from trajopt.view.plotting.figure import figure_of
-from trajopt.view.plotting.topics_contacts import sole_pages
-from trajopt.view.plotting.track import FigureTable, failure_of, sections, state_of, title_of, tracks_of
+from trajopt.view.plotting.sheet import LOW_ROW, ROW, Sheet
+from trajopt.view.plotting.track import (
+    FigureTable,
+    Track,
+    failure_of,
+    sections,
+    state_of,
+    title_of,
+    tracks_of,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # Most rows of a map of shares in the summary: with more joints, one row per limb.
 MAP_ROWS = 12
@@ -32,75 +44,86 @@ MAP_ROWS = 12
 FEW_LIMBS = 2
 
 
-def summary_pages(tracks: Tracks) -> list[PlotPage]:
-    """Contacts, shares of limits, base or joints, forces, momentum or power, errors: one page."""
-    shares = _shares(tracks)
-    is_map = shares is not None and len(tracks) == 1
-    rows: list[PlotRow | None] = [contacts.stance_row(tracks), shares]
+def draw_summary(sheet: Sheet) -> None:
+    """Draw contacts, shares of limits, base or joints, forces, momentum or power, and errors."""
+    tracks, limbs = sheet.tracks, joints.limbs(sheet.tracks)
+    contacts.draw_stances(sheet)
+    if len(tracks) > 1:
+        joints.draw_largest_shares(sheet)
+    elif limbs:
+        groups = {name: [axis] for limb in limbs for name, axis in zip(limb.long, limb.axes, strict=True)}
+        if len(groups) > MAP_ROWS:
+            groups = {limb.name: list(limb.axes) for limb in limbs}
+        joints.draw_share_maps(sheet, tracks[0], groups)
+        sheet.notes.append(
+            "Maps: share of the limit that is used, on the right its largest in per cent; orange: beyond it."
+        )
     moving = base.has_base(tracks)
     if moving:
-        rows += [joints.torque_row(tracks), base.thrust_row(tracks)]
-        rows += [base.vector_row(tracks, name) for name in ("base position", "base orientation")]
+        joints.draw_torques(sheet)
+        base.draw_thrust(sheet)
+        base.draw_vector(sheet, "base position")
+        base.draw_vector(sheet, "base orientation")
     else:
-        limbs = joints.limbs(tracks)
-        alone = len(limbs) == 1
         for limb in limbs[:FEW_LIMBS]:
-            rows += joints.limb_rows(tracks, limb, wide=alone, alone=alone)
+            joints.draw_limb(sheet, limb, wide=len(limbs) == 1, alone=len(limbs) == 1)
     if contacts.contacts(tracks):
-        rows += [contacts.normal_row(tracks), contacts.cone_row(tracks)]
+        contacts.draw_normal_forces(sheet)
+        contacts.draw_cone_shares(sheet)
     if moving:
-        rows.append(base.vector_row(tracks, "angular momentum"))
-    rows += [base.clearance_row(tracks), base.power_row(tracks), accuracy.residual_row(tracks)]
-    maps = "Maps: share of the limit that is used, on the right its largest in per cent; orange: beyond it. "
-    note = f"{maps if is_map else ''}Residuals in natural units (weight, reach, g)."
-    return page_of("summary", "summary", rows, note=note)
+        base.draw_vector(sheet, "angular momentum")
+    base.draw_clearance(sheet)
+    base.draw_power(sheet)
+    accuracy.draw_residuals(sheet)
+    sheet.notes.append("Residuals in natural units (weight, reach, g).")
 
 
-def _shares(tracks: Tracks) -> PlotRow | None:
-    """A map of the shares of limits of one solution; of several, curves of their largest shares."""
-    rows, names = limits.axes_and_names(tracks)
-    if not rows or len(tracks) > 1:
-        return limits.largest_row(tracks) if rows else None
-    groups = [[axis] for axis in rows]
-    if len(rows) > MAP_ROWS:
-        limbs = joints.limbs(tracks)
-        groups, names = [list(limb.axes) for limb in limbs], [limb.name for limb in limbs]
-    return limits.map_row(tracks, 0, groups, names)
-
-
-PAGES: dict[str, Callable[[Tracks], list[PlotPage]]] = {
-    "summary": summary_pages,
-    "limits": limits.limit_pages,
-    "joints": joints.joint_pages,
-    "drives": joints.drive_pages,
-    "forces": contacts.force_pages,
-    "soles": sole_pages,
-    "base": base.base_pages,
-    "momentum": base.momentum_pages,
-    "clearance": base.clearance_pages,
-    "accuracy": accuracy.accuracy_pages,
+# By name: title and function that draws.
+TOPICS: dict[str, tuple[str, Callable[[Sheet], None]]] = {
+    "summary": ("summary", draw_summary),
+    "limits": ("shares of the limits", joints.draw_limits),
+    "joints": ("joints", joints.draw_joints),
+    "drives": ("drives", joints.draw_drives),
+    "forces": ("contact forces", contacts.draw_forces),
+    "soles": ("centres of pressure", contacts.draw_soles),
+    "base": ("base", base.draw_base),
+    "momentum": ("centre of mass, momentum and power", base.draw_momentum),
+    "clearance": ("clearance", base.draw_clearance),
+    "accuracy": ("errors between points", accuracy.draw_accuracy),
 }
 
 
-def pages_of(tracks: Tracks, names: Sequence[str]) -> list[PlotPage]:
-    """Pages by name, in this order; those that do not apply to the robot are left out.
+def sheet_of(tracks: Sequence[Track], names: Sequence[str]) -> Sheet:
+    """Draw topics of `TOPICS` into one figure; those that do not apply to the robot are left out."""
+    with style.look():
+        sheet = Sheet(tracks, row_height=LOW_ROW if "summary" in names else ROW)
+        for name in names:
+            sheet.draw(name, *TOPICS[name])
+        if sheet.topics:
+            sheet.finish(f"trajopt {installed_version('trajopt')}")
+    return sheet
 
-    Raises `InputError` for an unknown name, or if none is left.
-    """
+
+def sheets_of(tracks: Sequence[Track], groups: Sequence[Sequence[str]]) -> list[Sheet]:
+    """Draw a figure for each group of topics; raises `InputError` if none applies or a name is unknown."""
+    names = [name for group in groups for name in group]
     for name in names:
-        if name not in PAGES:
-            raise not_among(PAGES, name, f"page '{name}' is unknown")
-    chosen = [page for name in names for page in PAGES[name](tracks)]
-    if not chosen:
-        have = [name for name, pages in PAGES.items() if pages(tracks)]
+        if name not in TOPICS:
+            raise not_among(TOPICS, name, f"page '{name}' is unknown")
+    sheets = [sheet for sheet in (sheet_of(tracks, group) for group in groups) if sheet.topics]
+    if not sheets:
+        have = sheet_of(tracks, list(TOPICS)).topics
         raise InputError(
             f"the solution has nothing for page {', '.join(names)}", f"allowed: {', '.join(have)}"
         )
-    return chosen
+    return sheets
 
 
-# Default pages by suffix: a picture has the summary, a document all pages.
-DEFAULT_PAGES = {".png": ("summary",), ".svg": ("summary",), ".pdf": tuple(PAGES), ".html": tuple(PAGES)}
+# Suffixes of files with one figure, of the summary by default; others have one for every topic.
+PICTURES = (".png", ".svg")
+DEFAULT_PAGES = dict.fromkeys(PICTURES, ("summary",)) | {
+    ending: tuple(TOPICS) for ending in (".pdf", ".html")
+}
 STYLE = """
 :root { color-scheme: light; }
 body { font: 15px/1.45 system-ui, sans-serif; color: #111; background: #fff; margin: 0 auto;
@@ -114,7 +137,6 @@ th, td { text-align: left; vertical-align: top; padding: .15rem .8rem .15rem 0;
   border-bottom: 1px solid #e3e3e3; }
 td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; overflow-wrap: anywhere; }
 td.beyond { color: #b34400; font-weight: bold; } td.unit { color: #555; white-space: nowrap; }
-footer { color: #555; font-size: .8rem; margin-top: 2rem; }
 @media print { nav { display: none; } body { max-width: none; padding: 0; font-size: 10pt; }
   figure { break-before: page; margin: 0; overflow: visible; } figure img { min-width: 0; max-height: 277mm; }
   @page { size: A4; margin: 10mm; } }
@@ -130,6 +152,15 @@ class Plotted:
     pages: tuple[str, ...]
 
 
+def check_plot(target: Path, endings: Sequence[str]) -> Path:
+    """Return the path if a plot can be written there; raises `InputError` if not."""
+    if target.suffix.lower() not in endings:
+        raise InputError(
+            f"cannot plot to {target}: its ending is '{target.suffix}'", f"allowed: {', '.join(endings)}"
+        )
+    return check_output(target)
+
+
 @checked
 def write_plots(
     solutions: Solution | str | Path | Sequence[Solution | str | Path],
@@ -142,8 +173,8 @@ def write_plots(
 
     Args:
         solutions: Solutions or their files; the first is drawn with solid lines, shaded phases and points.
-        target: Ends with .png, .svg (one picture; default the summary page), .pdf (A4 pages) or .html (one
-            file that needs no network; both with all pages).
+        target: Ends with .png, .svg (one picture; default the summary), .pdf (a page for each topic) or
+            .html (one file that needs no network; both with all topics).
         labels: A name for each solution.
         pages: Names of `writing.PAGES`; pages that do not apply to the robot are left out.
 
@@ -152,49 +183,44 @@ def write_plots(
             several robots.
         SolutionFileError: For a file that cannot be read.
     """
-    place = Path(target)
+    place = check_plot(Path(target), tuple(DEFAULT_PAGES))
     ending = place.suffix.lower()
-    if ending not in DEFAULT_PAGES:
-        raise InputError(
-            f"cannot plot to {place}: its ending is '{ending}'", f"allowed: {', '.join(DEFAULT_PAGES)}"
-        )
-    place = check_output(place)
     read = solutions_of(solutions)
     for one in read:
         if one.n_samples < 2:
             raise InputError(f"the solution has {one.n_samples} samples", "allowed: two or more")
+    names = pages or DEFAULT_PAGES[ending]
     with np.errstate(all="ignore"):  # a diverged iterate may overflow
         tracks = tracks_of(read, labels)
-        chosen = pages_of(tracks, pages or DEFAULT_PAGES[ending])
-        content = _content(chosen, tracks, ending)
+        tables = sections(tracks) if ending == ".html" else ()  # first: figures show what is measured here
+        sheets = sheets_of(tracks, [names] if ending in PICTURES else [[name] for name in names])
+        content = _content(sheets, tracks, tables, ending)
     with replacing(place) as unfinished:
         unfinished.write_bytes(content)
-    return Plotted(path=place, size=len(content), pages=tuple(page.name for page in chosen))
+    return Plotted(
+        path=place, size=len(content), pages=tuple(name for sheet in sheets for name in sheet.topics)
+    )
 
 
-def _content(pages: Sequence[PlotPage], tracks: Tracks, ending: str) -> bytes:
-    maker = f"trajopt {installed_version('trajopt')}"
+def _content(
+    sheets: Sequence[Sheet], tracks: Sequence[Track], tables: Sequence[FigureTable], ending: str
+) -> bytes:
+    if ending in PICTURES:
+        return style.rendered(sheets[0].figure, ending)
     if ending == ".html":
-        tables = sections(tracks)  # first: the pages show figures measured here
-        svgs = [(page, style.rendered(figure_of([page], tracks), ".svg")) for page in pages]
-        return html_page(tracks, svgs, tables).encode()
-    if ending != ".pdf":
-        return style.rendered(figure_of(pages, tracks, footer=maker), ending)
+        return html_page(sheets, tracks, tables).encode()
     from matplotlib.backends.backend_pdf import PdfPages
 
     buffer = io.BytesIO()
     facts = {"Title": title_of(tracks), "Creator": "trajopt", "CreationDate": None}  # for equal files
     with style.look(), PdfPages(buffer, metadata=facts) as document:
-        for number, page in enumerate(pages, 1):
-            footer = f"{maker}, page {number} of {len(pages)}"
-            document.savefig(figure_of([page], tracks, fixed=True, footer=footer))
+        for sheet in sheets:
+            document.savefig(sheet.figure)
     return buffer.getvalue()
 
 
-def html_page(
-    tracks: Tracks, drawings: Sequence[tuple[PlotPage, bytes]], sections: Sequence[FigureTable]
-) -> str:
-    """The text of the page; ``drawings`` are pages with their SVG, ``sections`` the tables."""
+def html_page(sheets: Sequence[Sheet], tracks: Sequence[Track], sections: Sequence[FigureTable]) -> str:
+    """The text of the page, with figures as SVG and tables."""
     title, links, figures = escape(title_of(tracks)), [], []
     labelled = [(f"{track.label}: " if len(tracks) > 1 else "", track) for track in tracks]
     head = [f'<p class="state">{escape(label + state_of(track))}</p>' for label, track in labelled]
@@ -203,13 +229,13 @@ def html_page(
         for label, track in labelled
         if (failure := failure_of(track))
     ]
-    names = [page.name for page, _ in drawings]
-    for number, (page, svg) in enumerate(drawings):
-        nth = f" {names[: number + 1].count(page.name)}" if names.count(page.name) > 1 else ""
-        anchor, text = (page.name + nth).replace(" ", "-"), escape(page.title + nth)
-        links.append(f'<a href="#{anchor}">{text}</a>')
-        source = f"data:image/svg+xml;base64,{b64encode(svg).decode()}"
-        figures.append(f'<figure id="{anchor}"><img alt="{text}" src="{source}"></figure>')
+    for sheet in sheets:
+        ((name, text),) = sheet.topics.items()
+        links.append(f'<a href="#{name}">{text}</a>')
+        svg = b64encode(style.rendered(sheet.figure, ".svg")).decode()
+        figures.append(
+            f'<figure id="{name}"><img alt="{text}" src="data:image/svg+xml;base64,{svg}"></figure>'
+        )
     tables = [_table(section, [track.label for track in tracks]) for section in sections]
     further = '<a href="#figures">check and accuracy</a>' if tables[1:] else ""
     return "\n".join(
@@ -223,7 +249,7 @@ def html_page(
             f'<section id="facts">{tables[0]}</section>',
             *figures,
             f'<section id="figures">{"".join(tables[1:])}</section>' if tables[1:] else "",
-            f"<footer>trajopt {escape(installed_version('trajopt'))}</footer></body></html>",
+            "</body></html>",
             "",
         ]
     )
@@ -244,3 +270,58 @@ def _table(section: FigureTable, labels: Sequence[str]) -> str:
         tolerance = f'<td class="unit">{escape(allowed)}</td>' if judged else ""
         rows.append(f'<tr><td>{escape(name)}</td>{cells}<td class="unit">{escape(unit)}</td>{tolerance}</tr>')
     return "\n".join([*rows, "</table>"])
+
+
+def check_push_plot(target: Path) -> Path:
+    """Return the path if a plot of pushes can be written there; raises `InputError` if not."""
+    return check_plot(target, (*PICTURES, ".pdf"))
+
+
+@checked
+def write_push_plot(report: PushReport, target: str | Path) -> Path:
+    """Plot the largest pushes of a report by direction, in natural units, with the base's front at the top.
+
+    Args:
+        report: from `trajopt.simulation.push.largest_pushes`.
+        target: ends with .png, .svg or .pdf.
+
+    Returns:
+        The path of the file.
+
+    Raises:
+        InputError: for another ending, or a file that cannot be written.
+    """
+    place = check_push_plot(Path(target))
+    content = style.rendered(figure_of_pushes(report), place.suffix.lower())
+    with replacing(place) as unfinished:
+        unfinished.write_bytes(content)
+    return place
+
+
+def figure_of_pushes(report: PushReport) -> Figure:
+    """Draw a closed curve per controller; triangles mark impulses that are only lower bounds."""
+    from matplotlib.figure import Figure
+
+    with style.look():
+        figure = Figure(figsize=(5.0, 5.4), dpi=style.DOTS, layout="constrained")
+        axes = figure.add_subplot(projection="polar")
+        axes.set_theta_zero_location("N")  # type: ignore[attr-defined]
+        angles = np.radians(report.directions)
+        for number, (controller, sizes) in enumerate(report.impulses.items()):
+            natural = np.array(sizes) / report.unit
+            line = {"color": style.colour(number), "linestyle": style.LINES[number]}
+            axes.plot(np.append(angles, angles[:1]), np.append(natural, natural[:1]), label=controller,
+                      marker=style.MARKERS[number], markersize=4, **line)  # fmt: skip
+            open_ended = np.array(sizes) >= report.most
+            axes.plot(angles[open_ended], natural[open_ended], color=style.colour(number), marker="^",
+                      linestyle="none", markersize=8)  # fmt: skip
+        axes.set_ylim(bottom=0.0)
+        axes.set_xticks(angles, [f"{angle:g}\N{DEGREE SIGN}" for angle in report.directions])
+        title = style.literal(f"{report.problem} on {report.robot}")
+        figure.suptitle(title, fontsize=style.FONT, weight="bold")
+        axes.set_xlabel(
+            f"largest impulse survived over weight sqrt(l / g) = {report.unit:.3g} N s, "
+            f"at {report.time:.3g} s\n0\N{DEGREE SIGN}: forward, counter-clockwise"
+        )
+        figure.legend(loc="outside lower center", ncols=len(report.impulses))
+    return figure
