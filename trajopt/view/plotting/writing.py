@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import io
-from base64 import b64encode
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,16 +22,9 @@ from trajopt.view.plotting import topics_accuracy as accuracy
 from trajopt.view.plotting import topics_base as base
 from trajopt.view.plotting import topics_contacts as contacts
 from trajopt.view.plotting import topics_joints as joints
+from trajopt.view.plotting.page import html_page, html_tables
 from trajopt.view.plotting.sheet import LOW_ROW, ROW, Sheet
-from trajopt.view.plotting.track import (
-    FigureTable,
-    Track,
-    failure_of,
-    sections,
-    state_of,
-    title_of,
-    tracks_of,
-)
+from trajopt.view.plotting.track import Track, title_of, tracks_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -124,23 +115,6 @@ PICTURES = (".png", ".svg")
 DEFAULT_PAGES = dict.fromkeys(PICTURES, ("summary",)) | {
     ending: tuple(TOPICS) for ending in (".pdf", ".html")
 }
-STYLE = """
-:root { color-scheme: light; }
-body { font: 15px/1.45 system-ui, sans-serif; color: #111; background: #fff; margin: 0 auto;
-  max-width: 1000px; padding: 1.5rem; }
-h1 { font-size: 1.5rem; margin: 0 0 .2rem; } h2 { font-size: 1.1rem; margin: 2rem 0 .4rem; }
-p.state { color: #555; margin: 0; } p.warning { color: #b34400; font-weight: bold; margin: .3rem 0; }
-nav { margin: .8rem 0 1.2rem; } nav a { margin-right: 1rem; color: #0072b2; }
-figure { margin: 1.2rem 0; overflow-x: auto; } figure img { width: 100%; height: auto; min-width: 640px; }
-table { border-collapse: collapse; font-size: .85rem; width: 100%; }
-th, td { text-align: left; vertical-align: top; padding: .15rem .8rem .15rem 0;
-  border-bottom: 1px solid #e3e3e3; }
-td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; overflow-wrap: anywhere; }
-td.beyond { color: #b34400; font-weight: bold; } td.unit { color: #555; white-space: nowrap; }
-@media print { nav { display: none; } body { max-width: none; padding: 0; font-size: 10pt; }
-  figure { break-before: page; margin: 0; overflow: visible; } figure img { min-width: 0; max-height: 277mm; }
-  @page { size: A4; margin: 10mm; } }
-"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -192,7 +166,7 @@ def write_plots(
     names = pages or DEFAULT_PAGES[ending]
     with np.errstate(all="ignore"):  # a diverged iterate may overflow
         tracks = tracks_of(read, labels)
-        tables = sections(tracks) if ending == ".html" else ()  # first: figures show what is measured here
+        tables = html_tables(tracks) if ending == ".html" else []  # first: figures show what is measured here
         sheets = sheets_of(tracks, [names] if ending in PICTURES else [[name] for name in names])
         content = _content(sheets, tracks, tables, ending)
     with replacing(place) as unfinished:
@@ -202,9 +176,7 @@ def write_plots(
     )
 
 
-def _content(
-    sheets: Sequence[Sheet], tracks: Sequence[Track], tables: Sequence[FigureTable], ending: str
-) -> bytes:
+def _content(sheets: Sequence[Sheet], tracks: Sequence[Track], tables: Sequence[str], ending: str) -> bytes:
     if ending in PICTURES:
         return style.rendered(sheets[0].figure, ending)
     if ending == ".html":
@@ -217,59 +189,6 @@ def _content(
         for sheet in sheets:
             document.savefig(sheet.figure)
     return buffer.getvalue()
-
-
-def html_page(sheets: Sequence[Sheet], tracks: Sequence[Track], sections: Sequence[FigureTable]) -> str:
-    """The text of the page, with figures as SVG and tables."""
-    title, links, figures = escape(title_of(tracks)), [], []
-    labelled = [(f"{track.label}: " if len(tracks) > 1 else "", track) for track in tracks]
-    head = [f'<p class="state">{escape(label + state_of(track))}</p>' for label, track in labelled]
-    head += [
-        f'<p class="warning">{escape(label + failure)}</p>'
-        for label, track in labelled
-        if (failure := failure_of(track))
-    ]
-    for sheet in sheets:
-        ((name, text),) = sheet.topics.items()
-        links.append(f'<a href="#{name}">{text}</a>')
-        svg = b64encode(style.rendered(sheet.figure, ".svg")).decode()
-        figures.append(
-            f'<figure id="{name}"><img alt="{text}" src="data:image/svg+xml;base64,{svg}"></figure>'
-        )
-    tables = [_table(section, [track.label for track in tracks]) for section in sections]
-    further = '<a href="#figures">check and accuracy</a>' if tables[1:] else ""
-    return "\n".join(
-        [
-            '<!doctype html><html lang="en"><head><meta charset="utf-8">',
-            '<meta name="viewport" content="width=device-width, initial-scale=1">',
-            f"<title>{title}</title><style>{STYLE}</style></head><body>",
-            f"<h1>{title}</h1>",
-            *head,
-            f"<nav>{''.join(links)}{further}</nav>",
-            f'<section id="facts">{tables[0]}</section>',
-            *figures,
-            f'<section id="figures">{"".join(tables[1:])}</section>' if tables[1:] else "",
-            "</body></html>",
-            "",
-        ]
-    )
-
-
-def _table(section: FigureTable, labels: Sequence[str]) -> str:
-    judged = any(allowed for *_, allowed in section.rows)
-    names = labels if len(labels) > 1 else [""]
-    heads = "".join(f'<th class="number">{escape(name)}</th>' for name in names)
-    rows = [f"<h2>{escape(section.title)}</h2><table>"]
-    if len(labels) > 1 or judged:
-        rows.append(f"<tr><th></th>{heads}<th>unit</th>{'<th>tolerance</th>' if judged else ''}</tr>")
-    for number, (name, values, unit, allowed) in enumerate(section.rows):
-        cells = "".join(
-            f'<td class="number{" beyond" if (number, i) in section.beyond else ""}">{escape(value)}</td>'
-            for i, value in enumerate(values)
-        )
-        tolerance = f'<td class="unit">{escape(allowed)}</td>' if judged else ""
-        rows.append(f'<tr><td>{escape(name)}</td>{cells}<td class="unit">{escape(unit)}</td>{tolerance}</tr>')
-    return "\n".join([*rows, "</table>"])
 
 
 def check_push_plot(target: Path) -> Path:
