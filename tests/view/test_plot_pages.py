@@ -187,7 +187,9 @@ def test_an_iterate_that_is_not_finite_is_plotted_as_far_as_it_goes(tmp_path: Pa
     q[20:], v[20:] = np.nan, np.nan
     failed = solution.with_statistics(success=False, status="not_finite")
     broken = replace(failed, q=q, v=v)
-    shown = lines(drawn(broken, "joints"), "position:" + limbs_of(track_of(broken).axes, broken.model).name)
+    shown = lines(
+        drawn(broken, "joints"), "position:" + limbs_of(track_of(broken).axes, broken.model)[0].name
+    )
     assert all(0 < t.max() < solution.t[-1] for t, _ in shown.values())
     figure = drawn(broken, "summary")
     said = " ".join(text.get_text() for text in figure.findobj(Text))

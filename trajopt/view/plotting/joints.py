@@ -1,6 +1,6 @@
 """Joint axes for plots, the rows of v after the base: names, coordinates, limits and their use, limbs."""
 
-import os
+import itertools
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -204,7 +204,7 @@ def _merged(chains: list[list[int]]) -> list[list[int]]:
 
 def _limb_name(names: Sequence[str]) -> str:
     """Common prefix of names up to a separator or a digit; may be empty."""
-    common = os.path.commonprefix(names)
+    common = _common_start(names)
     if len(names) == 1:
         return names[0]
     cut = max((match.end() for match in re.finditer(r"[_\W]", common)), default=0)
@@ -213,13 +213,19 @@ def _limb_name(names: Sequence[str]) -> str:
     return common[:cut].rstrip("_. -")
 
 
+def _common_start(names: Sequence[str]) -> str:
+    """The longest common prefix of names."""
+    same = itertools.takewhile(lambda letters: len(set(letters)) == 1, zip(*names, strict=False))
+    return "".join(letters[0] for letters in same)
+
+
 def _short_names(names: Sequence[str]) -> tuple[str, ...]:
     """Names without common words at the start or end."""
     if len(names) == 1:
         return tuple(names)
     before = _limb_name(names)
     cut = len(before)
-    ends = os.path.commonprefix([name[::-1] for name in names])[::-1]
+    ends = _common_start([name[::-1] for name in names])[::-1]
     at = ends.find("_")
     behind = len(ends) - at if at >= 0 else 0
     bare = [name[: len(name) - behind] for name in names]
