@@ -31,8 +31,8 @@ GAP, LABELLED_GAP = 0.08, 0.125
 PAD, REMARK, OFFSET_PAD = 2.0, 8.0, 2
 # Inches: width of a letter in the names of phases, height of their line, and width of a row for them.
 PHASE_LETTER, PHASE_LINE, PHASES = 0.05, 0.09, 6.5
-# Number of markers on a curve along the time axis.
-MARKS = 6
+# Distance between the markers of a curve over the diagonal of the axes.
+EVERY = 0.16
 # With more collocation points than this in one panel, none are drawn.
 MOST_DOTS = 400
 # Least upper end of an axis for shares of a limit, so that the limit is visible.
@@ -297,18 +297,12 @@ def curves(
         for number, label, values in shown:
             t, y = track.curve(values)
             line = line_look(tracks, track, number, len(named), apart=apart) | look
-            marks = marker_samples(t, y, number, len(named)) if line["marker"] else None
+            # Interleaved between curves; Matplotlib places none on a line without finite values.
+            marks = (number / len(named) * EVERY, EVERY) if np.isfinite(y).any() else None
             name = style.literal(label).lstrip("_")  # Matplotlib hides labels with an underscore
             axes.plot(t, y, label=name, markevery=marks, zorder=3 - 0.1 * track.number, **line)
             if dots and track.number == 0:
                 axes.plot(*track.at_points(values), color=line["color"], zorder=3.5, **style.DOTTED)
-
-
-def marker_samples(t: np.ndarray, y: np.ndarray, number: int, count: int) -> list[int]:
-    """Return the indices of samples with a marker: evenly spaced in time, interleaved between curves."""
-    wanted = t[0] + (t[-1] - t[0]) * (np.arange(MARKS) + (number % count + 0.5) / count) / MARKS
-    samples = np.unique(np.clip(np.searchsorted(t, wanted), 0, len(t) - 1))
-    return [int(i) for i in samples if np.isfinite(y[i])]
 
 
 def column(values: MotionQuantity, i: int) -> MotionQuantity:

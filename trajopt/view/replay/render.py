@@ -42,10 +42,10 @@ SAME_TIME = 1e-6
 
 # Kinds of file to which an option applies, for options that do not apply to all.
 USES = {
-    **dict.fromkeys(("--fps", "--speed"), "a video"),
-    "--time": "a .png of one picture, which is without --strip",
-    "--strip": "a .png",
-    **dict.fromkeys(("--from", "--to"), "a video, or a .png with --strip"),
+    **dict.fromkeys(("fps", "speed"), "a video"),
+    "time": "a .png of one picture, which is without strip",
+    "strip": "a .png",
+    **dict.fromkeys(("start", "end"), "a video, or a .png with strip"),
 }
 _Progress = Callable[[int, int], None]
 
@@ -98,7 +98,7 @@ class Shots:
         self._check_size()
         if self.fps is not None and not 1 <= self.fps <= MOST_RATE[self.ending]:
             most = MOST_RATE[self.ending]
-            raise InputError(f"--fps is {self.fps:g}", f"allowed for a {self.ending}: 1 to {most:g}")
+            raise InputError(f"fps is {self.fps:g}", f"allowed for a {self.ending}: 1 to {most:g}")
 
     @property
     def pixels(self) -> tuple[int, int]:
@@ -128,7 +128,7 @@ class Shots:
         """
         allowed = f"allowed: {first:g} to {last:g} s"
         margin = 1e-9 * max(abs(first), abs(last), last - first)
-        for name, value in (("--time", self.time), ("--from", self.start), ("--to", self.end)):
+        for name, value in (("time", self.time), ("start", self.start), ("end", self.end)):
             if value is not None and not first - margin <= value <= last + margin:
                 raise InputError(f"{name} {value:g} s is outside the motion", allowed)
         start = first if self.start is None else self.start
@@ -136,7 +136,7 @@ class Shots:
         if not self.is_video and self.strip is None:
             return np.array([telling if self.time is None else self.time])
         if not start < end:
-            raise InputError(f"--from {start:g} s is not before --to {end:g} s", allowed)
+            raise InputError(f"start {start:g} s is not before end {end:g} s", allowed)
         return np.linspace(start, end, self.strip) if self.strip else self._even_times(start, end)
 
     def _even_times(self, start: float, end: float) -> np.ndarray:
@@ -144,7 +144,7 @@ class Shots:
         step = self.speed / float(self.rate)
         count = math.floor((end - start) / step + SAME_TIME)
         if count >= MOST_PICTURES:
-            raise InputError(f"a video of {count + 1} pictures", f"allowed: {MOST_PICTURES}; lower --fps")
+            raise InputError(f"a video of {count + 1} pictures", f"allowed: {MOST_PICTURES}; lower fps")
         times = start + step * np.arange(count + 1)
         if end - times[-1] > SAME_TIME * step:
             return np.append(times, end)
@@ -154,7 +154,7 @@ class Shots:
     def _check_numbers(self) -> None:
         """Check the types of numbers: a script may pass anything."""
         require_speed(self.speed)
-        named = {"--fps": self.fps, "start": self.start, "end": self.end, "time": self.time}
+        named = {"fps": self.fps, "start": self.start, "end": self.end, "time": self.time}
         for name, value in named.items():
             if value is not None and not is_number(value):
                 raise InputError(f"{name} is {shown(value)}", "allowed: a finite number")
@@ -165,12 +165,12 @@ class Shots:
         """Check that every given value applies to this kind of file."""
         one_picture = not self.is_video and self.strip is None
         unused = {
-            "--fps": self.fps is not None and not self.is_video,
-            "--speed": self.speed != 1 and not self.is_video,
-            "--time": self.time is not None and not one_picture,
-            "--strip": self.strip is not None and self.is_video,
-            "--from": self.start is not None and one_picture,
-            "--to": self.end is not None and one_picture,
+            "fps": self.fps is not None and not self.is_video,
+            "speed": self.speed != 1 and not self.is_video,
+            "time": self.time is not None and not one_picture,
+            "strip": self.strip is not None and self.is_video,
+            "start": self.start is not None and one_picture,
+            "end": self.end is not None and one_picture,
         }
         still = "a strip" if self.strip is not None else "a .png of one picture"
         what = f"a {self.ending}" if self.is_video else still
@@ -185,10 +185,10 @@ class Shots:
         width, height = self.pixels
         allowed = f"allowed: WIDTHxHEIGHT, each {LEAST_SIDE} to {MOST_SIDE} pixels, as in 1280x720"
         if not (LEAST_SIDE <= width <= MOST_SIDE and LEAST_SIDE <= height <= MOST_SIDE):
-            raise InputError(f"--size is {width}x{height}", allowed)
+            raise InputError(f"size is {width}x{height}", allowed)
         if self.ending == ".mp4" and (width % 2 or height % 2):
             even = f"{width + width % 2}x{height + height % 2}"
-            raise InputError(f"--size is {width}x{height}", f"a .mp4 needs even numbers, as in {even}")
+            raise InputError(f"size is {width}x{height}", f"a .mp4 needs even numbers, as in {even}")
         if self.canvas[0] > MOST_WIDTH:
             wide = f"{self.strip} pictures of {width} pixels side by side"
             raise InputError(wide, f"allowed: {MOST_WIDTH} pixels")
