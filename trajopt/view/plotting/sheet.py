@@ -32,7 +32,7 @@ PAD, REMARK, OFFSET_PAD = 2.0, 8.0, 2
 # Inches: width of a letter in the names of phases, height of their line, and width of a row for them.
 PHASE_LETTER, PHASE_LINE, PHASES = 0.05, 0.09, 6.5
 # Distance between the markers of a curve over the diagonal of the axes.
-EVERY = 0.16
+EVERY = 0.2
 # With more collocation points than this in one panel, none are drawn.
 MOST_DOTS = 400
 # Least upper end of an axis for shares of a limit, so that the limit is visible.
