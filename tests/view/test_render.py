@@ -173,7 +173,7 @@ def test_telling_moment_is_the_middle_of_the_first_flight_after_a_contact():
         ({"ending": ".png", "size": (-640, 360)}, "size is -640x360"),
         ({"ending": ".mp4", "size": (100_000, 100_000)}, "size is 100000x100000"),
         ({"ending": ".png", "strip": 32, "size": (2000, 100)}, "side by side"),
-        ({"ending": ".png", "strip": 1}, "a strip of 1 pictures; allowed: 2 to 32"),
+        ({"ending": ".png", "strip": 1}, "strip of Shots is 1; allowed: a whole number from 2 to 32"),
         ({"ending": ".mp4", "strip": 3}, "strip has no use for a .mp4"),
         ({"ending": ".png", "fps": 30.0}, "fps has no use for a .png"),
         ({"ending": ".png", "start": 0.1}, "start has no use for a .png of one picture"),
@@ -184,10 +184,10 @@ def test_telling_moment_is_the_middle_of_the_first_flight_after_a_contact():
         ),
         ({"ending": ".gif", "fps": 60.0}, "fps is 60; allowed for a .gif: 1 to 50"),
         ({"ending": ".mp4", "fps": 0.0}, "fps is 0"),
-        ({"ending": ".mp4", "fps": float("nan")}, "fps is nan"),
-        ({"ending": ".mp4", "speed": 0.0}, "speed is 0; allowed: > 0 to 1000"),
-        ({"ending": ".mp4", "speed": float("inf")}, "speed is inf"),
-        ({"ending": ".png", "time": float("nan")}, "time is nan"),
+        ({"ending": ".mp4", "fps": float("nan")}, "fps of Shots is nan"),
+        ({"ending": ".mp4", "speed": 0.0}, "speed of Shots is 0.0; allowed: a finite number from 0 to 1000"),
+        ({"ending": ".mp4", "speed": float("inf")}, "speed of Shots is inf"),
+        ({"ending": ".png", "time": float("nan")}, "time of Shots is nan"),
     ],
 )
 def test_values_that_make_no_file_are_refused_in_one_line(options, told):

@@ -5,20 +5,22 @@ import itertools
 import math
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
-from trajopt.errors import InputError, is_number, shown
+from trajopt.arguments import checked
+from trajopt.errors import InputError
+from trajopt.kinds import Range
 from trajopt.solution.input import SolutionOrFile, require_motion, solutions_of
 from trajopt.solution.output import check_output, replacing
 from trajopt.solution.solution import Solution
 from trajopt.view.replay import video
 from trajopt.view.replay.browser import AT_START, OpenedPage, open_page, require_chromium
-from trajopt.view.replay.motion import require_speed
+from trajopt.view.replay.motion import FASTEST
 from trajopt.view.replay.runs import require_labels
 from trajopt.view.replay.show import replay
 
@@ -58,6 +60,7 @@ SLOWEST = 0.1
 GHOSTS = "ghosts"
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Shots:
     """Pictures of a replay for one file.
@@ -65,13 +68,16 @@ class Shots:
     Args:
         ending: suffix of the file, one of `SIZES`.
         size: pixels (width, height), of each picture of a strip; default by suffix.
-        fps, speed: pictures per second of a video; seconds of the motion per second of video.
-        start, end: time span in the solution, s; default: the whole motion.
+        fps: pictures per second of a video.
+        speed: seconds of the motion per second of video.
+        start: of the time span in the solution, s; default: of the motion.
+        end: of the time span, s.
         time: of the solution, s, for a single picture.
         strip: number of pictures side by side in a .png, from start to end.
         camera: one of the page's cameras.
         caption: whether there is text.
-        hidden, shown: names of layers.
+        hidden: names of layers.
+        shown: names of layers.
 
     Raises `InputError`, one line, for values out of range and for those that do not fit together.
     """
@@ -79,11 +85,11 @@ class Shots:
     ending: str
     size: tuple[int, int] | None = None
     fps: float | None = None
-    speed: float = 1.0
+    speed: Annotated[float, Range(0.0, FASTEST, above=True)] = 1.0
     start: float | None = None
     end: float | None = None
     time: float | None = None
-    strip: int | None = None
+    strip: Annotated[int, Range(2, MOST_STRIP)] | None = None
     camera: str | None = None
     caption: bool = True
     hidden: Sequence[str] = ()
@@ -93,7 +99,6 @@ class Shots:
         if self.ending not in SIZES:
             name = f"'{self.ending}'" if self.ending else "missing"
             raise InputError(f"the ending of the output is {name}", "allowed: " + ", ".join(SIZES))
-        self._check_numbers()
         self._check_use()
         self._check_size()
         if self.fps is not None and not 1 <= self.fps <= MOST_RATE[self.ending]:
@@ -151,16 +156,6 @@ class Shots:
         times[-1] = end
         return times
 
-    def _check_numbers(self) -> None:
-        """Check the types of numbers: a script may pass anything."""
-        require_speed(self.speed)
-        named = {"fps": self.fps, "start": self.start, "end": self.end, "time": self.time}
-        for name, value in named.items():
-            if value is not None and not is_number(value):
-                raise InputError(f"{name} is {shown(value)}", "allowed: a finite number")
-        if self.strip is not None and not (isinstance(self.strip, int) and 2 <= self.strip <= MOST_STRIP):
-            raise InputError(f"a strip of {shown(self.strip)} pictures", f"allowed: 2 to {MOST_STRIP}")
-
     def _check_use(self) -> None:
         """Check that every given value applies to this kind of file."""
         one_picture = not self.is_video and self.strip is None
@@ -179,9 +174,6 @@ class Shots:
                 raise InputError(f"{name} has no use for {what}", f"allowed: with {USES[name]}")
 
     def _check_size(self) -> None:
-        pair = isinstance(self.pixels, Sequence) and len(self.pixels) == 2
-        if not pair or not all(isinstance(side, int) for side in self.pixels):
-            raise InputError(f"size is {shown(self.size)}", "allowed: (width, height) in whole pixels")
         width, height = self.pixels
         allowed = f"allowed: WIDTHxHEIGHT, each {LEAST_SIDE} to {MOST_SIDE} pixels, as in 1280x720"
         if not (LEAST_SIDE <= width <= MOST_SIDE and LEAST_SIDE <= height <= MOST_SIDE):
@@ -245,10 +237,6 @@ def render(
     """
     several = [require_motion(solution) for solution in solutions_of(solutions)]
     target = check_output(Path(target))
-    known = [field.name for field in fields(Shots) if field.name != "ending"]
-    unknown = ", ".join(sorted(set(options) - set(known)))
-    if unknown:
-        raise InputError(f"a rendering has no option {unknown}", f"allowed: {', '.join(known)}")
     shots = Shots(ending=target.suffix.lower(), **options)
     if not several:
         raise InputError("there is nothing to render", "one or more solutions")
