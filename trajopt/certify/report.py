@@ -380,7 +380,7 @@ class CheckReport:
         failures = self.failures(tolerances)
         figures = {name: getattr(self, name) for name in FIGURES}
         phases = [asdict(phase) for phase in self.phases]
-        places = {name: place.to_dict() for name, place in self.places.items()}
+        places = {name: asdict(place) for name, place in self.places.items()}
         verdict = {"ok": not failures, "failures": failures}
         return jsonable({**verdict, **figures, "phases": phases, "places": places, "notes": self.notes})
 

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 WIDTH, ROW, LOW_ROW, ROW_TITLE, FRAME = 8.27, 1.25, 0.7, 0.38, 1.2
 # The part of the figure within its margins: left, bottom, width and height as fractions.
 PRINTED = (0.04, 0.015, 0.92, 0.97)
-# Characters in a line of a note, and at most in the title.
-NOTE_LETTERS, TITLE_LETTERS = 150, 64
+# Characters in a line of a note, and at most in each half of the title.
+NOTE_LETTERS, TITLE_LETTERS = 150, 48
 # Gap between panels over the width of their row, without and with labels of vertical axes.
 GAP, LABELLED_GAP = 0.08, 0.125
 # Points: gap above the axes, height of a remark there, and distance down to the exponent of tick labels.
@@ -183,7 +183,8 @@ class Sheet:
         lines = [Line2D([], [], color=style.BLACK, linestyle=style.line_style(i)) for i in range(len(tracks))]
         names = [f"{style.short(track.label)}:  " if len(tracks) > 1 else "" for track in tracks]
         words = [failure_of(track) or state_of(track) for track in tracks]
-        title = f"{style.short(title_of(tracks), TITLE_LETTERS)}: {', '.join(self.topics.values())}"
+        topics = style.short(", ".join(self.topics.values()), TITLE_LETTERS)
+        title = f"{style.short(title_of(tracks), TITLE_LETTERS)}: {topics}"
         legend = self._printed.legend(
             lines, [style.literal(name + state) for name, state in zip(names, words, strict=True)],
             title=style.literal(title),
@@ -297,8 +298,8 @@ def curves(
         for number, label, values in shown:
             t, y = track.curve(values)
             line = line_look(tracks, track, number, len(named), apart=apart) | look
-            # Interleaved between curves; Matplotlib places none on a line without finite values.
-            marks = (number / len(named) * EVERY, EVERY) if np.isfinite(y).any() else None
+            # Interleaved between curves; Matplotlib fails to place them on a line without finite values.
+            marks = ((number + 0.5) / len(named) * EVERY, EVERY) if np.isfinite(y).any() else None
             name = style.literal(label).lstrip("_")  # Matplotlib hides labels with an underscore
             axes.plot(t, y, label=name, markevery=marks, zorder=3 - 0.1 * track.number, **line)
             if dots and track.number == 0:
