@@ -100,17 +100,12 @@ def sheet_of(tracks: Sequence[Track], names: Sequence[str]) -> Sheet:
 
 
 def sheets_of(tracks: Sequence[Track], groups: Sequence[Sequence[str]]) -> list[Sheet]:
-    """Draw a figure for each group of topics; raises `InputError` if none applies or a name is unknown."""
-    names = [name for group in groups for name in group]
-    for name in names:
-        if name not in TOPICS:
-            raise not_among(TOPICS, name, f"page '{name}' is unknown")
+    """Draw a figure for each group of topics; raises `InputError` if none applies."""
     sheets = [sheet for sheet in (sheet_of(tracks, group) for group in groups) if sheet.topics]
     if not sheets:
+        names = ", ".join(name for group in groups for name in group)
         have = sheet_of(tracks, list(TOPICS)).topics
-        raise InputError(
-            f"the solution has nothing for page {', '.join(names)}", f"allowed: {', '.join(have)}"
-        )
+        raise InputError(f"the solution has nothing for page {names}", f"allowed: {', '.join(have)}")
     return sheets
 
 
@@ -180,7 +175,7 @@ def write_plots(
         target: Ends with .png, .svg (one picture; default the summary), .pdf (a page for each topic) or
             .html (one file that needs no network; both with all topics).
         labels: A name for each solution.
-        pages: Names of `writing.PAGES`; pages that do not apply to the robot are left out.
+        pages: Names of `TOPICS`; pages that do not apply to the robot are left out.
 
     Raises:
         InputError: For another suffix, a file that cannot be written, an unknown page, or solutions of
@@ -193,7 +188,10 @@ def write_plots(
     for one in read:
         if one.n_samples < 2:
             raise InputError(f"the solution has {one.n_samples} samples", "allowed: two or more")
-    names = pages or DEFAULT_PAGES[ending]
+    names = list(dict.fromkeys(pages or DEFAULT_PAGES[ending]))
+    for name in names:
+        if name not in TOPICS:
+            raise not_among(TOPICS, name, f"page '{name}' is unknown")
     with np.errstate(all="ignore"):  # a diverged iterate may overflow
         tracks = tracks_of(read, labels)
         tables = html_tables(tracks) if ending == ".html" else []  # first: figures show what is measured here
