@@ -23,9 +23,10 @@ from trajopt.guesses.base_path import (
     heading_of,
     turn_to_heading,
 )
-from trajopt.guesses.legged import LeggedPosture, legged_guess
+from trajopt.guesses.legged import legged_guess, stances_under
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Motion, Schedule
+from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.surface import UP
 from trajopt.terrain.swing_paths import smooth_step
 
@@ -275,15 +276,15 @@ def _repeated(cycle: Schedule, mirror: Mapping[str, str] | None) -> tuple[Schedu
 
 def with_footholds(robot: Robot, schedule: Schedule, path: WaypointPath) -> Schedule:
     """Add footholds on level ground wherever contacts begin with a phase, as in `legged_guess`."""
-    posture = LeggedPosture(robot=robot, schedule=schedule, base=path, start=robot.reference)
+    stances = stances_under(robot, schedule, path, robot.reference, FlatGround())
     begins = np.cumsum([0.0, *(phase.duration for phase in schedule.phases)])
     rounding = SAME_TIME * schedule.duration
     phases = []
     for i, phase in enumerate(schedule.phases):
         places = {
-            name: stance.place.translation - robot.contact(name).radius * np.array(UP)
+            name: stance.pose.translation - robot.contact(name).radius * np.array(UP)
             for name in schedule.new_contacts(i)
-            for stance in posture.stances[name]
+            for stance in stances[name]
             if abs(stance.begin - begins[i]) < rounding
         }
         phases.append(replace(phase, footholds=places))

@@ -19,7 +19,8 @@ from trajopt.control.robot_state import RobotState
 from trajopt.control.tasks import ContactForceTask, PostureTask
 from trajopt.dynamics.model_quantities import gravity_of, joints_of_rows
 from trajopt.errors import InputError
-from trajopt.guesses.body_guess import FootMotion, guess_from_lip
+from trajopt.guesses.body_guess import guess_from_lip
+from trajopt.problem.contact_motion import ContactMotion
 from trajopt.problem.problem import Problem
 from trajopt.reduced.com_program import CenterOfMassProgram
 from trajopt.reduced.footsteps import Walk, feet_of
@@ -163,7 +164,7 @@ def _walk_plan(robot: Robot, walk: Walk, crouch: float, clearance: float, fricti
         terms=(),
         parameters={**asdict(walk), "crouch": crouch, "clearance": clearance, "friction": friction},
     )
-    return _Samples(problem, FootMotion(plan=plan, initial=feet, clearance=clearance)).solution()
+    return _Samples(problem, plan.contact_motion(feet, clearance)).solution()
 
 
 def _crouched(robot: Robot, crouch: float) -> np.ndarray:
@@ -184,7 +185,7 @@ def _crouched(robot: Robot, crouch: float) -> np.ndarray:
 class _Samples:
     """Samples of a walk, phase by phase: each interval has two nodes and a midpoint."""
 
-    def __init__(self, problem: Problem, feet: FootMotion) -> None:
+    def __init__(self, problem: Problem, feet: ContactMotion) -> None:
         self.problem, self.robot, self.feet = problem, problem.robot, feet
         self.units = units = NaturalUnits.of(self.robot.model)
         self.step = DIFFERENCE * units.time
@@ -301,7 +302,7 @@ class _Samples:
 
     def _require_reached(self, t: float, q: np.ndarray) -> None:
         for name, pose in contact_poses(self.robot, q).items():
-            away = float(np.linalg.norm(pose.translation - self.feet.foothold(name, t).position))
+            away = float(np.linalg.norm(pose.translation - self.feet.pose(name, t).translation))
             if away > REACHED * self.units.length:
                 robot, model = self.robot, self.robot.model
                 off = f"at {t:.2f} s foot '{name}' of '{robot.name}' is {1e3 * away:.3g} mm off its path"

@@ -1,15 +1,17 @@
 """Footsteps: footholds and their timing, the plan of a walk, and its schedule."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from types import MappingProxyType
 
 import numpy as np
+import pinocchio as pin
 
 from trajopt.errors import InputError, finite_array, require_finite, require_positive
 from trajopt.pickling import picklable
+from trajopt.problem.contact_motion import ContactMotion, Stance, stances_of
 from trajopt.robot.kinematics import contact_poses
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Phase, Schedule
@@ -27,6 +29,11 @@ class Foothold:
     def __post_init__(self) -> None:
         require_finite("yaw of a foothold", self.yaw, "rad")
         object.__setattr__(self, "position", finite_array("foothold", self.position, unit="m"))
+
+    @property
+    def pose(self) -> pin.SE3:
+        """Level pose of the contact frame, world, m."""
+        return pin.SE3(pin.utils.rotate("z", self.yaw), self.position)
 
 
 @dataclass(frozen=True)
@@ -85,6 +92,22 @@ class FootstepPlan:
             )
             before = support.feet
         return Schedule(tuple(phases))
+
+    def contact_motion(self, start: Mapping[str, Foothold], clearance: float) -> ContactMotion:
+        """Return the feet over time, with swings of height ``clearance`` m.
+
+        Before its first support a foot is where ``start`` has it, by contact name. Raises InputError for a
+        clearance that is negative or not finite.
+        """
+        schedule, first = self.schedule(), {**start, **self.supports[0].feet}
+
+        def stances(name: str) -> Iterator[Stance]:
+            def landing(index: int, begin: float, end: float) -> pin.SE3:
+                return self.supports[index].feet[name].pose
+
+            return stances_of(schedule, name, first[name].pose, landing)
+
+        return ContactMotion(stances={name: tuple(stances(name)) for name in first}, clearance=clearance)
 
 
 def support_vertices(robot: Robot, support: StepPhase, shrink: float = 0.0) -> np.ndarray:
