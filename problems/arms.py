@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.errors import InputError
-from trajopt.problem import Parameter, Problem
+from trajopt.problem import Parameter, PosturePath, Problem
 from trajopt.robot import Posture, Robot, frame_pose, inverse_kinematics, require_moving
 from trajopt.schedule import Motion, Phase, Schedule
 from trajopt.terms import DriveLimits, FramePose, Term, TerminalRest, TorqueLimits
@@ -201,7 +201,7 @@ def between(
 
     bounds: of a free duration, s. guess: default straight from one posture to the other.
     """
-    straight = common.PosturePath(model=robot.model, postures=ends, durations=(duration,))
+    straight = PosturePath(model=robot.model, postures=ends, durations=(duration,))
     return common.problem(
         name,
         robot,

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
@@ -27,7 +27,7 @@ from trajopt.terms import (
     effort_costs,
     swing_clearance,
 )
-from trajopt.terrain import FlatGround, Terrain, smooth_step
+from trajopt.terrain import FlatGround, Terrain
 from trajopt_library import robots
 
 # Least height of a foot above the ground in mid-flight, m.
@@ -114,27 +114,6 @@ def whole(name: str, value: float) -> int:
     if value != round(value):
         raise InputError(f"parameter {name} is {value:g}", "allowed: a whole number")
     return round(value)
-
-
-@dataclass(frozen=True, kw_only=True)
-class PosturePath:
-    """Guess: from posture to posture (nq,), at rest at each, along 10 s^3 - 15 s^4 + 6 s^5; then still.
-
-    durations: from each posture to the next, s.
-    """
-
-    model: pin.Model
-    postures: Sequence[np.ndarray]
-    durations: Sequence[float]
-
-    def __call__(self, t: float) -> np.ndarray:
-        """The posture (nq,) at ``t`` s."""
-        ends = np.cumsum(self.durations)
-        index = min(int(np.searchsorted(ends, t, side="right")), len(ends) - 1)
-        begin = ends[index - 1] if index else 0.0
-        part = smooth_step((t - begin) / (ends[index] - begin))
-        before, after = self.postures[index : index + 2]
-        return np.asarray(pin.interpolate(self.model, before, after, part))
 
 
 def quadruped(name: str | Robot) -> Robot:

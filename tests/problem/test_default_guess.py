@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 import trajopt
 from trajopt import Phase, Problem, Schedule, end_of, terms
 from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
-from trajopt.problem.guessing import default_guess
+from trajopt.problem.guessing import PosturePath, default_guess
 from trajopt.problem.periodicity import Periodicity
 from trajopt.robot.kinematics import contact_positions, frame_pose
 from trajopt.robot.robot import Robot
@@ -20,6 +20,8 @@ from trajopt_library import robots
 
 # Of inverse kinematics, m.
 REACHED = 1e-6
+# Central differences over this step, s, of polynomials of order one.
+STEP, DIFFERENCE = 1e-5, 1e-8
 FORWARD = np.array([0.06, 0.0, 0.0])
 TIMES = np.linspace(0.0, 1.0, 21)
 EFFORT = terms.TorqueCost(weight=1.0)
@@ -154,6 +156,18 @@ def test_a_periodic_motion_ends_at_the_image_of_its_start() -> None:
         periodicity=Periodicity(velocity=(0.5, 0.0, 0.0)),
     )
     assert_allclose(problem.guess_at(0.6)[:3] - problem.guess_at(0.0)[:3], [0.3, 0.0, 0.0], atol=REACHED)
+
+
+def test_posture_path_rests_at_every_posture_and_stays_at_the_last() -> None:
+    model = robots.load("ur5").model
+    start, middle, end = np.random.default_rng(0).uniform(-1.0, 1.0, (3, model.nq))
+    path = PosturePath(model=model, postures=(start, middle, end), durations=(2.0, 1.0))
+    half = (start + middle) / 2
+    for t, q in ((-1.0, start), (0.0, start), (1.0, half), (2.0, middle), (3.0, end), (4.0, end)):
+        assert_allclose(path(t), q, atol=1e-15)
+    for t, fastest in ((0.0, 0.0), (1.0, 1.875 / 2.0), (2.0, 0.0), (3.0, 0.0)):
+        rate = (path(t + STEP) - path(t - STEP)) / (2 * STEP)
+        assert_allclose(rate, fastest * (middle - start), atol=DIFFERENCE)
 
 
 def test_an_arm_finds_its_way_without_a_guess() -> None:

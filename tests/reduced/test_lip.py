@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 
 from trajopt.errors import InputError
-from trajopt.guesses.body_guess import FootMotion, FootSwing, guess_from_lip
+from trajopt.guesses.body_guess import DEFAULT_CLEARANCE, guess_from_lip
 from trajopt.reduced.com_program import CenterOfMassProgram
 from trajopt.reduced.footsteps import Foothold, FootstepPlan, StepPhase, Walk, feet_of, support_vertices
 from trajopt.reduced.lip import Pendulum, PendulumMotion, analytic_motion, dcm_at_steps, distance_outside
@@ -289,16 +289,14 @@ def test_schedule_of_a_plan_lands_new_feet_on_their_footholds() -> None:
 def test_feet_of_a_guess_stand_still_and_swings_start_and_end_at_rest() -> None:
     robot = talos_legs()
     plan = Walk(steps=2).plan(robot)
-    feet = FootMotion(plan=plan, initial=feet_of(robot, robot.reference), clearance=0.1)
+    feet = plan.contact_motion(feet_of(robot, robot.reference), 0.1)
     begin, end = plan.supports[0].duration, plan.supports[0].duration + plan.supports[1].duration
-    assert_allclose(feet.foothold("right", 0.8).position, plan.supports[0].feet["right"].position)
-    found = feet.at("left", (begin + end) / 2)
-    assert isinstance(found, FootSwing)
-    assert not found.airborne
-    middle = feet.foothold("left", (begin + end) / 2).position
+    assert_allclose(feet.pose("right", 0.8).translation, plan.supports[0].feet["right"].position)
+    assert feet.around("left", (begin + end) / 2)[2] == pytest.approx(0.5)
+    middle = feet.pose("left", (begin + end) / 2).translation
     assert middle[2] - plan.supports[0].feet["left"].position[2] == pytest.approx(0.1)
     for t, inwards in ((begin, 1e-4), (end, -1e-4)):
-        speed = (feet.foothold("left", t + inwards).position - feet.foothold("left", t).position) / 1e-4
+        speed = (feet.pose("left", t + inwards).translation - feet.pose("left", t).translation) / 1e-4
         assert np.abs(speed).max() < 1e-2
 
 
@@ -306,14 +304,13 @@ def test_guess_puts_feet_on_their_path_and_the_com_on_its_motion() -> None:
     robot, plan, pendulum, com = walk_of(turn=0.1)
     motion = analytic_motion(robot, plan, pendulum, com)
     guess = guess_from_lip(robot, plan, motion)
-    feet = FootMotion(plan=plan, initial=feet_of(robot, robot.reference))
+    feet = plan.contact_motion(feet_of(robot, robot.reference), DEFAULT_CLEARANCE)
     assert_allclose(guess(0.0), robot.reference, atol=1e-9)
     for t in np.linspace(0.1, plan.duration, 7):
         q = guess(t)
         assert_allclose(com_of(robot, q)[:2], motion.com(t), atol=GUESSED)
         for name, foot in feet_of(robot, q).items():
-            assert_allclose(foot.position, feet.foothold(name, t).position, atol=1e-8)
-            assert foot.yaw == pytest.approx(feet.foothold(name, t).yaw, abs=1e-8)
+            assert_allclose(foot.pose.homogeneous, feet.pose(name, t).homogeneous, atol=1e-8)
 
 
 def flight() -> StepPhase:

@@ -110,7 +110,7 @@ def stepped_posture(
 ) -> Posture:
     """Return the posture with the base and contacts at poses, world, m, on the branch of the posture ``q``.
 
-    Contacts move from where they are at ``q`` (nq,) in small steps, in the base's axes.
+    Both move in small steps from where they are at ``q`` (nq,).
 
     Args:
         robot: A robot on a free-flyer.
@@ -119,16 +119,12 @@ def stepped_posture(
         contacts: Poses of the contacts' frames by name.
         move_base: Whether the base may move in the last step.
     """
-    first, before = pin.XYZQUATToSE3(q[:7]), contact_poses(robot, q)
-    q = np.append(pin.SE3ToXYZQUAT(base), q[7:])
+    first, before, found = pin.XYZQUATToSE3(q[:7]), contact_poses(robot, q), Posture(q=q, error=np.inf)
     for step in range(1, STEPS + 1):
-        at = {
-            name: base * blended(first.actInv(before[name]), base.actInv(pose), step / STEPS)
-            for name, pose in contacts.items()
-        }
-        last = move_base and step == STEPS
-        found = inverse_kinematics(robot, q, contact_targets(robot, at), move_base=last)
-        q = found.q
+        part, last = step / STEPS, step == STEPS
+        at = {name: pin.SE3.Interpolate(before[name], pose, part) for name, pose in contacts.items()}
+        q = np.append(pin.SE3ToXYZQUAT(pin.SE3.Interpolate(first, base, part)), found.q[7:])
+        found = inverse_kinematics(robot, q, contact_targets(robot, at), move_base=move_base and last)
     return found
 
 

@@ -22,7 +22,7 @@ from trajopt.schedule.placing import landing_place
 from trajopt.schedule.schedule import Motion, Schedule
 from trajopt.terms.interfaces import Term
 from trajopt.terrain.flat import FlatGround
-from trajopt.terrain.swing_paths import smooth_step
+from trajopt.terrain.swing_paths import SwingPath, smooth_step
 from trajopt.terrain.terrain import Terrain
 
 # Height of swings as a fraction of the robot's length; more than terms usually require.
@@ -70,6 +70,49 @@ def default_guess(
     carried = () if robot.base == "fixed" else tuple(contacts.stances)
     return RememberedMotion(
         GuidedMotion(robot=robot, schedule=schedule, path=path, contacts=contacts, swinging=carried)
+    )
+
+
+@checked
+def posture_guess(
+    robot: Robot,
+    schedule: Schedule,
+    postures: Sequence[np.ndarray],
+    *,
+    swinging: Sequence[str] = (),
+    swing: SwingPath | None = None,
+) -> Motion:
+    """Return a guess ``t -> q`` (nq,) from posture to posture, at rest at the ends of phases.
+
+    Contacts stand where the posture at the end of their first phase has them; limbs follow by inverse
+    kinematics.
+
+    Args:
+        robot: The robot.
+        schedule: Phases and their contacts.
+        postures: Configurations (nq,), at the start and at the end of every phase.
+        swinging: Contacts that swing between their stances, along ``swing``; others move with the postures.
+        swing: Path of a swinging contact; default: a straight line.
+    """
+    poses = [contact_poses(robot, q) for q in postures]
+
+    def stances(name: str) -> Iterator[Stance]:
+        def landing(index: int, begin: float, end: float) -> pin.SE3:
+            return poses[index + 1][name]
+
+        return stances_of(schedule, name, poses[0][name], landing)
+
+    durations = [phase.duration for phase in schedule.phases]
+    return RememberedMotion(
+        GuidedMotion(
+            robot=robot,
+            schedule=schedule,
+            path=PosturePath(model=robot.model, postures=postures, durations=durations),
+            contacts=ContactMotion(
+                stances={name: tuple(stances(name)) for name in poses[0]}, clearance=0.0, swing=swing
+            ),
+            swinging=swinging,
+        )
     )
 
 
