@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from trajopt.dynamics import gravity_of
 from trajopt.errors import InputError
 from trajopt.guesses import hermite as hermite
 from trajopt.problem import Choice, Parameter, Problem
@@ -126,11 +125,6 @@ def quadruped(name: str | Robot) -> Robot:
 def foot_radius(robot: Robot) -> float:
     """Largest radius of the robot's contacts, m."""
     return max((contact.radius for contact in robot.contacts), default=0.0)
-
-
-def natural_time(robot: Robot) -> float:
-    """sqrt(l / g) in s, by which times of legged motions are scaled."""
-    return math.sqrt(robot.length / gravity_of(robot.model))
 
 
 def displaced(

@@ -9,7 +9,7 @@ import pinocchio as pin
 from trajopt.collision import BoxObstacle
 from trajopt.errors import InputError
 from trajopt.problem import Family, Problem, posture_guess, stepped_posture
-from trajopt.robot import Posture, Robot, biped_legs, contact_poses
+from trajopt.robot import Posture, Robot, Units, biped_legs, contact_poses
 from trajopt.schedule import Phase, Schedule
 from trajopt.terms import Clearance, FramePose, TerminalRest, swing_clearance
 from trajopt.terrain import PiecewiseTerrain, Surface, swing_path
@@ -97,7 +97,7 @@ def build_push_off(
 ) -> Problem:
     """Build the push; see ``FAMILIES`` for the parameters. Raises InputError."""
     body, share = bipeds.humanoid(robot), given.pop("torque_share")
-    unit, feet, middle, tilted = common.natural_time(body), soles(body), middle_of(body), leaning(body, lean)
+    unit, feet, middle, tilted = Units(body).time, soles(body), middle_of(body), leaning(body, lean)
     chosen = dict(zip(("left", "right"), bipeds.hands(body), strict=True))
     used = tuple(chosen.values()) if hands == "both" else (chosen[hands],)
     arms, radius = shoulders(body, tilted), body.contact(used[0]).radius
@@ -147,7 +147,7 @@ def build_lean(
 ) -> Problem:
     """Build the reach; see ``FAMILIES`` for the parameters. Raises InputError."""
     body, share = bipeds.humanoid(robot), given.pop("torque_share")
-    unit, feet, middle, tilted = common.natural_time(body), soles(body), middle_of(body), leaning(body, lean)
+    unit, feet, middle, tilted = Units(body).time, soles(body), middle_of(body), leaning(body, lean)
     up, arms, (left, right) = float(body.reference[2]), shoulders(body, tilted), bipeds.hands(body)
     far = float(arms[left][0] - middle[0])
     defaults = {
@@ -204,7 +204,7 @@ def build_climb(*, robot: str, steps: float, friction: float, **given: float | N
         "rise": RISE * up,
         "run": max(RUN * up, SOLES * sole),
         "rail": RAIL * up,
-        "move": MOVE * common.natural_time(body),
+        "move": MOVE * Units(body).time,
     }
     values = common.filled(defaults, given)
     rise, run, rail, move = values.values()
