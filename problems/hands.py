@@ -39,11 +39,6 @@ INTERVALS, OF_PHASE = 30, 20
 Poses = Mapping[str, pin.SE3]
 
 
-def lift(robot: Robot) -> float:
-    """Clearance of swinging feet, m."""
-    return CLEARANCE * float(robot.reference[2])
-
-
 def at(position: np.ndarray) -> pin.SE3:
     """A pose whose rotation does not matter: of a hand, which is a point."""
     return pin.SE3(np.eye(3), np.array(position))
@@ -258,7 +253,7 @@ def build_climb(*, robot: str, steps: float, friction: float, **given: float | N
     moved("hold", (*feet, *hands), count * way, {}, move / 2)
     moved("rest", feet, count * way, {})
     schedule, end = Schedule(tuple(phases)), common.displaced(body, count * way)
-    swing = swing_path(terrain, lift(body), reach=sole / 2)
+    swing = swing_path(terrain, CLEARANCE * up, reach=sole / 2)
     guess = posture_guess(body, schedule, (*postures[:-1], end), swinging=feet, swing=swing)
     legs = replace(body, contacts=tuple(body.contact(name) for name in feet))  # without the swinging hands
     return common.problem(
@@ -268,7 +263,7 @@ def build_climb(*, robot: str, steps: float, friction: float, **given: float | N
         guess,
         torque_share=share,
         terrain=terrain,
-        more=swing_clearance(legs, schedule, terrain, height=lift(body), guess=guess),
+        more=swing_clearance(legs, schedule, terrain, height=CLEARANCE * up, guess=guess),
         end=end,
         parameters=values,
         default_intervals=OF_PHASE * len(phases),

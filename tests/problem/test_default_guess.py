@@ -12,11 +12,13 @@ from trajopt import Phase, Problem, Schedule, end_of, terms
 from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
 from trajopt.problem.guessing import PosturePath, default_guess
 from trajopt.problem.periodicity import Periodicity
+from trajopt.robot import edge_contacts, with_edges
 from trajopt.robot.kinematics import contact_positions, frame_pose
 from trajopt.robot.robot import Robot
-from trajopt.schedule import footholds_at
+from trajopt.schedule import footholds_at, middle_of
 from trajopt.terrain import Ramp, SmoothTerrain
 from trajopt_library import robots
+from trajopt_library.problems.bipeds import biped
 
 # Of inverse kinematics, m.
 REACHED = 1e-6
@@ -142,6 +144,32 @@ def test_a_landing_without_foothold_is_on_the_ground_below() -> None:
     radius = robot.contacts[0].radius
     for x, y, z in contact_positions(robot, guess(0.7)).values():
         assert z - radius == pytest.approx(float(hill.height(x, y)), abs=1e-3)
+
+
+def test_a_frame_is_raised_to_its_height_in_mid_phase_and_heels_turn_about_standing_toes() -> None:
+    robot = with_edges(biped("g1"))
+    toes, corners = [], [contact.name for contact in robot.contacts]
+    for sole in ("left", "right"):
+        toes += edge_contacts(sole, "toe")
+    phases = (
+        Phase(name="flat", duration=0.5, contacts=corners),
+        Phase(name="toes", duration=0.5, contacts=toes),
+        Phase(name="down", duration=0.5, contacts=corners),
+    )
+    base, height = str(robot.model.names[1]), float(robot.reference[2]) + 0.03
+    goals = (
+        terms.FrameHeight(frame=base, height=height, at=middle_of("toes")),
+        terms.TerminalState(q=robot.reference),
+    )
+    guess = default_guess(robot, Schedule(phases), goals)
+    assert guess(0.75)[2] == pytest.approx(height, abs=REACHED)
+    assert_allclose(guess(1.5), robot.reference, atol=REACHED)
+    here = contact_positions(robot, robot.reference)
+    for name, place in contact_positions(robot, guess(0.75)).items():
+        if name in toes:
+            assert_allclose(place, here[name], atol=REACHED)
+        else:
+            assert place[2] > here[name][2] + 0.005
 
 
 def test_a_periodic_motion_ends_at_the_image_of_its_start() -> None:

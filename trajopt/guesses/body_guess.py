@@ -11,13 +11,15 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.arguments import checked
+from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.errors import InputError
 from trajopt.guesses.base_path import flights, turn_to_heading
 from trajopt.guesses.legged import LeggedPosture
 from trajopt.problem.contact_motion import ContactMotion, RememberedMotion
 from trajopt.problem.problem import Problem
+from trajopt.reduced.com_program import CenterOfMassProgram
 from trajopt.reduced.footsteps import FootstepPlan, feet_of
-from trajopt.reduced.lip import ComMotion
+from trajopt.reduced.lip import ComMotion, Pendulum
 from trajopt.reduced.single_rigid_body import footholds_of
 from trajopt.robot.kinematics import contact_targets, inverse_kinematics
 from trajopt.robot.legs import require_free_flyer
@@ -33,6 +35,8 @@ DEFAULT_CLEARANCE = 0.05
 # Fixed-point steps that move the CoM to its target. Each leaves the fraction of mass that does not follow the
 # base. A fixed number from a fixed start keeps the posture smooth in time, as finite differences need.
 COM_STEPS = 4
+# Fraction of the soles kept as a margin for the pendulum's ZMP: the robot is not a pendulum.
+MARGIN = 0.5
 
 
 class BasePath:
@@ -160,7 +164,7 @@ class WalkPosture:
 def guess_from_lip(
     robot: Robot,
     plan: FootstepPlan,
-    motion: ComMotion,
+    motion: ComMotion | None = None,
     *,
     q: np.ndarray | None = None,
     clearance: float = DEFAULT_CLEARANCE,
@@ -170,15 +174,25 @@ def guess_from_lip(
     Args:
         robot: A robot on a free-flyer in world axes.
         plan: Footholds and their timing.
-        motion: Horizontal motion of the centre of mass.
+        motion: Horizontal motion of the centre of mass; default: that of the `CenterOfMassProgram`, with half
+            of the soles as a margin.
         q: Initial posture (nq,); default: the reference. The height of its centre of mass is kept.
         clearance: Height of the swings, m.
 
     Raises:
-        InputError: If the base is not a free-flyer in world axes.
+        InputError: If the base is not a free-flyer in world axes, or the pendulum cannot follow the plan.
     """
     require_free_flyer(robot)
     start = np.array(robot.reference if q is None else q, dtype=float)
+    if motion is None:
+        com = pin.centerOfMass(robot.model, robot.model.createData(), start)
+        motion = CenterOfMassProgram(
+            robot=robot,
+            plan=plan,
+            pendulum=Pendulum(height=com[2], gravity=gravity_of(robot.model)),
+            com_start=com[:2],
+            shrink=MARGIN,
+        ).solve()
     feet = plan.contact_motion(feet_of(robot, start), clearance)
     posture = WalkPosture(robot=robot, feet=feet, motion=motion, q=start)
     return RememberedMotion(posture)

@@ -34,6 +34,7 @@ from trajopt.terrain.swing_paths import smooth_step
 DIFFERENCE_STEP = 1e-4
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Pace:
     """A commanded motion of the base over level ground along an arc, optionally from or to rest.
@@ -54,11 +55,6 @@ class Pace:
     stops: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        numbers = (*self.velocity, self.turn_rate)
-        if len(numbers) != 3 or not all(math.isfinite(number) for number in numbers):
-            raise InputError(
-                f"velocity {self.velocity} m/s, turn rate {self.turn_rate} rad/s", "allowed: finite"
-            )
         for times in (self.starts, self.stops):
             if times is not None and not times[0] < times[1]:
                 raise InputError(

@@ -10,7 +10,6 @@ import pinocchio as pin
 
 from trajopt.arguments import checked
 from trajopt.dynamics.model_quantities import gravity_of
-from trajopt.errors import require_finite
 from trajopt.guesses.base_path import SAME_TIME, BaseWaypoint, WaypointPath, flights, turn_to_heading
 from trajopt.pickling import picklable
 from trajopt.problem.contact_motion import (
@@ -212,7 +211,6 @@ def legged_guess(
     """
     require_free_flyer(robot)
     lift = CLEARANCE_PART * robot.length if clearance is None else clearance
-    require_finite("tuck", tuck, "m")
     if not isinstance(path, WaypointPath):
         path = WaypointPath(schedule, path, gravity_of(robot.model))
     ground, first = terrain or FlatGround(), robot.reference if start is None else start

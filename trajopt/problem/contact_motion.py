@@ -10,11 +10,11 @@ from itertools import accumulate, groupby
 import numpy as np
 import pinocchio as pin
 
-from trajopt.pickling import picklable
+from trajopt.arguments import NonNegative, checked
 from trajopt.robot.kinematics import Posture, contact_poses, contact_targets, inverse_kinematics
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Motion, Schedule
-from trajopt.terrain.swing_paths import SwingPath, require_clearance, smooth_step, swing_profile
+from trajopt.terrain.swing_paths import SwingPath, smooth_step, swing_profile
 
 # Times that differ by less than this fraction of the schedule's duration are equal.
 SAME_TIME = 1e-9
@@ -33,7 +33,7 @@ class Stance:
     pose: pin.SE3
 
 
-@picklable
+@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ContactMotion:
     """Poses of contacts over time: at rest in a stance, then in a smooth swing to the next one.
@@ -50,11 +50,8 @@ class ContactMotion:
     """
 
     stances: Mapping[str, Sequence[Stance]]
-    clearance: float
+    clearance: NonNegative
     swing: SwingPath | None = None
-
-    def __post_init__(self) -> None:
-        require_clearance(self.clearance)
 
     def around(self, name: str, t: float) -> tuple[Stance, Stance, float]:
         """Return the stances before and after ``t`` s, and the fraction of the swing between them.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import accumulate
+from itertools import accumulate, pairwise
 
 import numpy as np
 import pinocchio as pin
@@ -17,9 +17,10 @@ from trajopt.problem.contact_motion import SAME_TIME, ContactMotion, RememberedM
 from trajopt.problem.periodicity import Periodicity
 from trajopt.robot.kinematics import contact_poses, contact_targets, frame_pose, inverse_kinematics
 from trajopt.robot.robot import Robot
-from trajopt.schedule.moment import Target
+from trajopt.schedule.moment import Moment, Target
 from trajopt.schedule.placing import landing_place
-from trajopt.schedule.schedule import Motion, Schedule
+from trajopt.schedule.schedule import Motion, Phase, Schedule
+from trajopt.terms.frames import FrameHeight
 from trajopt.terms.interfaces import Term
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.swing_paths import SwingPath, smooth_step
@@ -43,8 +44,9 @@ def default_guess(
 
     Configurations are interpolated between goals, at rest at each goal. A contact stands on its foothold,
     else on its ground below where the motion brings it, and swings in an arc in between; limbs follow by
-    inverse kinematics. A phase without contacts adds the parabola of a free fall. Without a goal at its end,
-    a periodic motion ends at the image of its start, and any other stays at its last goal.
+    inverse kinematics. A phase without contacts adds the parabola of a free fall. A `FrameHeight` that this
+    misses while contacts stand is one more goal. Without a goal at its end, a periodic motion ends at the
+    image of its start, and any other stays at its last goal.
 
     Args:
         robot: The robot.
@@ -54,23 +56,26 @@ def default_guess(
         start: Configuration (nq,) at the start; default: the reference.
         periodicity: Of the motion.
     """
-    ground, ends = terrain or FlatGround(), tuple(accumulate(phase.duration for phase in schedule.phases))
+    ground, end = terrain or FlatGround(), schedule.duration
     first = np.array(robot.reference if start is None else start, dtype=float)
     path = PosturePath(model=robot.model, postures=(first,), durations=())
-    goals = _goals(schedule, ends, terms)
-    if periodicity is not None and ends[-1] not in goals and robot.base != "fixed":
-        image = _displaced(robot, first, periodicity.moved(ends[-1]))
-        goals[ends[-1]] = [Target(q=image)]
+    goals = _goals(schedule, terms)
+    if periodicity is not None and end not in goals and robot.base != "fixed":
+        goals[end] = [Target(q=_displaced(robot, first, periodicity.moved(end)))]
     for time in sorted(goals):
         q = next((np.array(target.q) for target in goals[time] if target.q is not None), None)
         if q is None:
-            q = _reaching(robot, path, _contacts(robot, schedule, ground, path), time, goals[time])
-        path = path.extended(time, q)
-    contacts = _contacts(robot, schedule, ground, path)
-    carried = () if robot.base == "fixed" else tuple(contacts.stances)
-    return RememberedMotion(
-        GuidedMotion(robot=robot, schedule=schedule, path=path, contacts=contacts, swinging=carried)
-    )
+            contacts = _contacts(robot, schedule, ground, path)
+            q = _reaching(robot, path.postures[-1], contacts, time, goals[time])
+        path = path.through(time, q)
+    motion = _guided(robot, schedule, ground, path)
+    heights = [(_time_of(term.at, schedule), term) for term in terms if isinstance(term, FrameHeight)]
+    for time, term in heights:
+        target = None if time in goals else _missed(term, motion, time)
+        if target is not None:
+            q = _reaching(robot, motion(time), motion.contacts, time, [target])
+            motion = _guided(robot, schedule, ground, motion.path.through(time, q))
+    return RememberedMotion(motion)
 
 
 @checked
@@ -142,12 +147,13 @@ class PosturePath:
         before, after = self.postures[index : index + 2]
         return np.asarray(pin.interpolate(self.model, before, after, part))
 
-    def extended(self, time: float, q: np.ndarray) -> PosturePath:
-        """Return the path with one more posture (nq,) at ``time`` in s, instead of the first one at zero."""
-        if time <= 0:
-            return replace(self, postures=(q,))
-        durations = (*self.durations, time - sum(self.durations))
-        return replace(self, postures=(*self.postures, q), durations=durations)
+    def through(self, time: float, q: np.ndarray) -> PosturePath:
+        """Return the path with one more posture (nq,), or another one, at ``time`` in s."""
+        times = accumulate(self.durations, initial=0.0)
+        others = [knot for knot in zip(times, self.postures, strict=True) if knot[0] != time]
+        knots = sorted([*others, (time, q)], key=lambda knot: knot[0])
+        durations = [end - begin for (begin, _), (end, _) in pairwise(knots)]
+        return replace(self, postures=[posture for _, posture in knots], durations=durations)
 
 
 @picklable
@@ -160,7 +166,8 @@ class GuidedMotion:
         schedule: A phase without contacts adds the parabola of a free fall, of the base and the contacts.
         path: The motion without contacts.
         contacts: Where contacts are.
-        swinging: Contacts that follow ``contacts`` also in the air; the others are on the path there.
+        swinging: Contacts that follow ``contacts`` also in the air, unless another one on their link stands;
+            the others are on the path there.
     """
 
     robot: Robot
@@ -171,18 +178,27 @@ class GuidedMotion:
 
     def __call__(self, t: float) -> np.ndarray:
         """Return the configuration (nq,) at ``t`` in s."""
-        ends = np.cumsum([phase.duration for phase in self.schedule.phases])
-        index = min(int(np.searchsorted(ends, t, side="right")), len(ends) - 1)
-        phase, hop = self.schedule.phases[index], np.zeros(3)
+        (phase, left), hop = self.phase_at(t), np.zeros(3)
         if not phase.contacts and self.robot.base != "fixed":
-            left = float(ends[index]) - t
             hop[2] = max(0.0, gravity_of(self.robot.model) * left * (phase.duration - left) / 2)
         q, poses = _displaced(self.robot, self.path(t), hop), {}
+        held = {self._link(name) for name in phase.contacts}
         for name in self.contacts.stances:
-            if name in self.swinging or name in phase.contacts:
+            if name in phase.contacts or (name in self.swinging and self._link(name) not in held):
                 pose = self.contacts.pose(name, t)
                 poses[name] = pin.SE3(pose.rotation, pose.translation + hop)
         return inverse_kinematics(self.robot, q, contact_targets(self.robot, poses)).q if poses else q
+
+    def _link(self, name: str) -> int:
+        """Joint that carries a contact: a heel in the air turns about the toes that stand."""
+        model = self.robot.model
+        return int(model.frames[model.getFrameId(self.robot.contact(name).frame)].parentJoint)
+
+    def phase_at(self, t: float) -> tuple[Phase, float]:
+        """Return the phase at ``t`` in s, and the time left of it, s."""
+        ends = np.cumsum([phase.duration for phase in self.schedule.phases])
+        index = min(int(np.searchsorted(ends, t, side="right")), len(ends) - 1)
+        return self.schedule.phases[index], float(ends[index]) - t
 
 
 def _displaced(robot: Robot, q: np.ndarray, way: np.ndarray) -> np.ndarray:
@@ -193,16 +209,36 @@ def _displaced(robot: Robot, q: np.ndarray, way: np.ndarray) -> np.ndarray:
     return moved
 
 
-def _goals(schedule: Schedule, ends: Sequence[float], terms: Sequence[Term]) -> dict[float, list[Target]]:
+def _goals(schedule: Schedule, terms: Sequence[Term]) -> dict[float, list[Target]]:
     goals: dict[float, list[Target]] = {}
     for target in (target for term in terms for target in term.targets()):
-        time = ends[-1]
-        if target.at.phase is not None:
-            index = schedule.names.index(target.at.phase)
-            time = ends[index] - (1.0 - target.at.fraction) * schedule.phases[index].duration
-        same = next((known for known in goals if abs(known - time) <= SAME_TIME * ends[-1]), time)
+        time = _time_of(target.at, schedule)
+        same = next((known for known in goals if abs(known - time) <= SAME_TIME * schedule.duration), time)
         goals.setdefault(same, []).append(target)
     return goals
+
+
+def _time_of(moment: Moment, schedule: Schedule) -> float:
+    """Nominal time of a moment, s."""
+    index = len(schedule.phases) - 1 if moment.phase is None else schedule.names.index(moment.phase)
+    ends = tuple(accumulate(phase.duration for phase in schedule.phases))
+    return ends[index] - (1.0 - moment.fraction) * schedule.phases[index].duration
+
+
+def _missed(term: FrameHeight, motion: GuidedMotion, time: float) -> Target | None:
+    """The position of the term's frame at its height, if a motion misses that while contacts stand."""
+    x, y, z = frame_pose(motion.robot, motion(time), term.frame).translation
+    met = z <= term.height if term.below else z >= term.height
+    if met or not motion.phase_at(time)[0].contacts:
+        return None
+    return Target(frame=term.frame, position=np.array([x, y, term.height]))
+
+
+def _guided(robot: Robot, schedule: Schedule, terrain: Terrain, path: PosturePath) -> GuidedMotion:
+    """Motion along a path; contacts of a robot that moves about follow their swings, too."""
+    contacts = _contacts(robot, schedule, terrain, path)
+    swinging = () if robot.base == "fixed" else tuple(contacts.stances)
+    return GuidedMotion(robot=robot, schedule=schedule, path=path, contacts=contacts, swinging=swinging)
 
 
 def _contacts(robot: Robot, schedule: Schedule, terrain: Terrain, path: PosturePath) -> ContactMotion:
@@ -227,13 +263,12 @@ def _contacts(robot: Robot, schedule: Schedule, terrain: Terrain, path: PostureP
 
 
 def _reaching(
-    robot: Robot, path: PosturePath, contacts: ContactMotion, time: float, targets: Sequence[Target]
+    robot: Robot, q: np.ndarray, contacts: ContactMotion, time: float, targets: Sequence[Target]
 ) -> np.ndarray:
-    """Posture (nq,) with frames at their goals, and the contacts of that time where they stand.
+    """Posture (nq,) near ``q`` with frames at their goals, and the contacts of that time where they stand.
 
     Inverse kinematics begins with the base moved by the mean displacement of its contacts.
     """
-    q = path.postures[-1]
     standing = {
         name: stance.pose
         for name, stances in contacts.stances.items()
