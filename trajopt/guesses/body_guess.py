@@ -1,11 +1,8 @@
 """Guesses from reduced models: their base or CoM motion, feet on footholds or swings, inverse kinematics."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -15,6 +12,7 @@ from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.errors import InputError
 from trajopt.guesses.base_path import flights, turn_to_heading
 from trajopt.guesses.legged import LeggedPosture
+from trajopt.motion.configurations import SolutionMotion
 from trajopt.problem.contact_motion import ContactMotion, RememberedMotion
 from trajopt.problem.problem import Problem
 from trajopt.reduced.com_program import CenterOfMassProgram
@@ -27,9 +25,6 @@ from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Motion
 from trajopt.solution.solution import Solution
 
-if TYPE_CHECKING:
-    from scipy.interpolate import CubicHermiteSpline
-
 # Default height in m of a swing above the straight line between its footholds.
 DEFAULT_CLEARANCE = 0.05
 # Fixed-point steps that move the CoM to its target. Each leaves the fraction of mass that does not follow the
@@ -40,54 +35,22 @@ MARGIN = 0.5
 
 
 class BasePath:
-    """Free-flyer placement through a solution's samples over time, twice differentiable within a phase.
+    """Free-flyer placement of a solution over time.
 
-    Positions are quintics through position, velocity and acceleration. Rotations are cubics in exponential
-    coordinates relative to the previous sample. The path is stretched to the phase ``durations`` in s, by
-    default the solution's.
+    The path is stretched to the phase ``durations`` in s, by default the solution's.
     """
 
     def __init__(self, solution: Solution, durations: Sequence[float] | None = None) -> None:
-        self._pieces = [_PhasePath(solution, rows) for rows in solution.phases]
-        spans = [piece.t[-1] - piece.t[0] for piece in self._pieces] if durations is None else durations
-        self._starts = np.concatenate([[0.0], np.cumsum(spans)])
+        self._motion = SolutionMotion(solution)
+        self._durations = np.diff(self._motion.spans)[:, 0] if durations is None else np.array(durations)
+        self._ends = np.cumsum(self._durations)
 
     def __call__(self, t: float) -> pin.SE3:
         """Return the placement at ``t`` in s, clipped; at a phase boundary, that of the later phase."""
-        i = int(np.searchsorted(self._starts[1:-1], t, side="right"))
-        times = self._pieces[i].t
-        fraction = (t - self._starts[i]) / (self._starts[i + 1] - self._starts[i])
-        return self._pieces[i].placement(float(times[0] + fraction * (times[-1] - times[0])))
-
-
-class _PhasePath:
-    def __init__(self, solution: Solution, rows: range) -> None:
-        t = solution.t[rows.start : rows.stop]
-        first = np.append(True, np.diff(t) > 0)
-        index = np.arange(rows.start, rows.stop)[first]
-        q, v, a = solution.q[index], solution.v[index], solution.a[index]
-        self.t = solution.t[index]
-        self.rotations = [pin.Quaternion(*row[[6, 3, 4, 5]]).toRotationMatrix() for row in q]
-        turned = np.array(self.rotations)
-        velocity = np.einsum("kij,kj->ki", turned, v[:, :3])
-        acceleration = np.einsum("kij,kj->ki", turned, a[:, :3] + np.cross(v[:, 3:6], v[:, :3]))
-        from scipy.interpolate import BPoly  # slow to import
-
-        self.position = BPoly.from_derivatives(self.t, np.stack([q[:, :3], velocity, acceleration], axis=1))
-        self.turns = [self._turn(k, v[:, 3:6]) for k in range(len(self.t) - 1)]
-
-    def _turn(self, k: int, omega: np.ndarray) -> CubicHermiteSpline:
-        """Interpolate theta(t) from sample k: theta' is omega at its start, Jlog(theta) omega at its end."""
-        relative = self.rotations[k].T @ self.rotations[k + 1]
-        rates = np.array([omega[k], pin.Jlog3(relative) @ omega[k + 1]])
-        from scipy.interpolate import CubicHermiteSpline
-
-        return CubicHermiteSpline(self.t[k : k + 2], np.array([np.zeros(3), pin.log3(relative)]), rates)
-
-    def placement(self, t: float) -> pin.SE3:
-        time = float(np.clip(t, self.t[0], self.t[-1]))
-        k = int(np.clip(np.searchsorted(self.t, time, side="right") - 1, 0, len(self.turns) - 1))
-        return pin.SE3(self.rotations[k] @ pin.exp3(self.turns[k](time)), self.position(time))
+        phase = int(np.searchsorted(self._ends[:-1], t, side="right"))
+        fraction = 1 + (t - self._ends[phase]) / self._durations[phase]
+        place = np.array([phase]), np.clip([fraction], 0.0, 1.0)
+        return pin.XYZQUATToSE3(self._motion.in_phase(*place, towards=0.5).q[0, :7])
 
 
 @checked
