@@ -12,9 +12,8 @@ from scipy.stats import spearmanr
 import trajopt
 from scripts.measure.shared import head, named, row
 from trajopt.discovery import Destination, Discovery, discover, relaxation, task_to
-from trajopt.discovery.gait_likeness import nearest_gait
 from trajopt.discovery.goal import obstacle
-from trajopt.discovery.proposals import known_proposals, relaxed_proposal
+from trajopt.discovery.proposals import known_proposals, nearest_gait, relaxed_proposal
 from trajopt.discovery.records import CERTIFIED
 from trajopt.discovery.task import ContactTask
 from trajopt.discovery.trials import certified, screened, spent

@@ -16,14 +16,12 @@ from trajopt import _engine
 from trajopt.cache import CACHE_VARIABLE
 from trajopt.cli.input import parse_settings
 from trajopt.solving.solving import prepare
-from trajopt.study.runner import limited
-from trajopt.study.sweep.cores import physical_cores
-from trajopt.study.sweep.engine import MODULES
+from trajopt.study.processes import ProcessPerTaskExecutor
+from trajopt.study.sweep.engine import MODULES, physical_cores
 from trajopt.study.sweep.plan import own_setting
-from trajopt.study.sweep.records import SweepRequest
-from trajopt.study.sweep.result import Job, TimedRun
+from trajopt.study.sweep.records import Job, SweepRequest, TimedRun
 from trajopt.study.sweep.run import run_job
-from trajopt.study.workers.executor import ProcessPerTaskExecutor
+from trajopt.study.tasks import limited
 from trajopt.transcription.stage_functions import Derivatives
 from trajopt_library import problems
 

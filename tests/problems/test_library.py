@@ -13,8 +13,7 @@ from tests.support.repository import ROOT
 from trajopt.problem.catalogue import families
 from trajopt.study.suite import data
 from trajopt.study.suite.cases import Case, all_cases
-from trajopt.study.suite.run import measure_case
-from trajopt.study.suite.settings import SuiteSettings
+from trajopt.study.suite.run import SuiteSettings, measure_case
 
 DATA = ROOT / "tests" / "data" / "suite.csv"
 SETTINGS = SuiteSettings()
