@@ -12,12 +12,11 @@ from trajopt.arguments import checked
 from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
 from trajopt.errors import InputError
 from trajopt.kinds import ArrayShape
+from trajopt.problem.contact_motion import SAME_TIME
 from trajopt.schedule.schedule import Schedule
 
 # An array (3,).
 Vector = Annotated[np.ndarray, ArrayShape((3,))]
-# Times of waypoints and phases that differ by less than this fraction of the schedule are equal.
-SAME_TIME = 1e-9
 # Largest turn between two waypoints while feet stand, rad: at a full turn the rate of the rotation vector is
 # unbounded.
 MOST_SUPPORTED_TURN = 2 * math.pi - 0.1

@@ -16,7 +16,6 @@ from trajopt.arguments import checked
 from trajopt.dynamics.model_quantities import contact_jacobian, gravity_of
 from trajopt.errors import InputError
 from trajopt.guesses.base_path import (
-    SAME_TIME,
     BaseWaypoint,
     WaypointPath,
     flights,
@@ -24,6 +23,7 @@ from trajopt.guesses.base_path import (
     turn_to_heading,
 )
 from trajopt.guesses.legged import legged_guess, stances_under
+from trajopt.problem.contact_motion import SAME_TIME
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Motion, Schedule
 from trajopt.terrain.flat import FlatGround

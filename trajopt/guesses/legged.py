@@ -10,9 +10,10 @@ import pinocchio as pin
 
 from trajopt.arguments import checked
 from trajopt.dynamics.model_quantities import gravity_of
-from trajopt.guesses.base_path import SAME_TIME, BaseWaypoint, WaypointPath, flights, turn_to_heading
+from trajopt.guesses.base_path import BaseWaypoint, WaypointPath, flights, turn_to_heading
 from trajopt.pickling import picklable
 from trajopt.problem.contact_motion import (
+    SAME_TIME,
     ContactMotion,
     RememberedMotion,
     Stance,
