@@ -24,9 +24,16 @@ CACHED_POSTURES = 4096
 STEPS = 12
 
 
+@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Stance:
-    """A contact's frame stays at ``pose`` (world, m) from ``begin`` to ``end``, s."""
+    """A contact's frame stays at a pose.
+
+    Args:
+        begin: Start of the stance, s.
+        end: End of the stance, s.
+        pose: Of the frame, world, m.
+    """
 
     begin: float
     end: float
@@ -102,6 +109,7 @@ def stances_of(
             yield Stance(begin=begin, end=end, pose=landing(first, begin, end) if first else start)
 
 
+@checked
 def stepped_posture(
     robot: Robot, q: np.ndarray, base: pin.SE3, contacts: Mapping[str, pin.SE3], *, move_base: bool = False
 ) -> Posture:

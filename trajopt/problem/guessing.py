@@ -121,7 +121,7 @@ def posture_guess(
     )
 
 
-@picklable
+@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PosturePath:
     """A motion from posture to posture, at rest at each, along 10 s^3 - 15 s^4 + 6 s^5; then still.
