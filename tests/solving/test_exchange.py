@@ -12,6 +12,7 @@ from tests.support.swings import BALL, DURATION, END, FAR, MARGIN, POLE, START, 
 from trajopt.certify.report import PENETRATION
 from trajopt.collision.shapes import LinkShape, SphereObstacle
 from trajopt.motion.configurations import SolutionMotion
+from trajopt.problem import PosturePath
 from trajopt.problem.problem import Problem
 from trajopt.solution.solution import Solution
 from trajopt.solving.exchange import GAP_SLACK, INTERVAL_LOOKS, LOOK_STEP, MOST_SLIPS, Exchange, Look, along
@@ -19,7 +20,6 @@ from trajopt.solving.solving import prepare, solve
 from trajopt.terms import Clearance
 from trajopt.terms.moments import PlaneSide
 from trajopt_library import problems
-from trajopt_library.problems.common import PosturePath
 
 pytestmark = pytest.mark.long
 
