@@ -9,6 +9,7 @@ import pytest
 
 import trajopt
 from tests.support.problems import landing, still
+from tests.support.refusals import refused
 from tests.support.synthetic_motions import Motion, sampled, with_meta
 from trajopt.certify.check import check
 from trajopt.certify.report import Tolerances
@@ -153,9 +154,8 @@ WRONG = {
 def test_wrong_surfaces_in_a_file_are_refused_in_one_line(case, tmp_path):
     surfaces, message = WRONG[case]
     box = box_at(pin.SE3.Identity())
-    with pytest.raises(InputError, match=message) as caught:
+    with refused(message):
         check(with_meta(box, surfaces=surfaces))
-    assert "\n" not in str(caught.value)
 
 
 def test_surfaces_survive_a_file(tmp_path):

@@ -7,6 +7,8 @@ import pytest
 
 import trajopt
 from tests.support.problems import hop
+from tests.support.refusals import refused
+from tests.support.solved_problems import motion
 from trajopt import _numeric
 from trajopt.collision.coal_shapes import coal_link, coal_obstacle
 from trajopt.collision.description import robot_shapes
@@ -19,7 +21,6 @@ from trajopt.collision.shapes import (
     SphereObstacle,
     obstacle_from_description,
 )
-from trajopt.errors import InputError
 from trajopt.problem.bodies import bodies_of
 from trajopt_library import robots
 
@@ -103,9 +104,8 @@ BAD = {
 @pytest.mark.parametrize("case", BAD)
 def test_bad_input_is_refused_in_one_line(case):
     build, message = BAD[case]
-    with pytest.raises(InputError, match=message) as caught:
+    with refused(message):
         build()
-    assert "\n" not in str(caught.value)
 
 
 ROUNDING = 1e-12  # sums of numbers around one
@@ -212,7 +212,7 @@ def test_links_that_a_slide_moves_are_not_fitted() -> None:
 @pytest.mark.long
 @pytest.mark.slow
 def test_near_links_of_a_jump_take_few_iterations() -> None:
-    solution = trajopt.solve(trajopt.load("biped-jump-up", robot="g1"))
+    solution = motion("biped-jump-up", robot="g1")
     first, *others = solution.statistics.rounds
     assert solution.success
     assert trajopt.check(solution).ok

@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import linprog
 
-import trajopt
+from tests.support.solved_problems import motion
 from trajopt.certify.check import check
 from trajopt.certify.report import AT_POINTS
 from trajopt.dynamics.model_quantities import contact_jacobian, gravity_of, mass_of
@@ -209,7 +209,7 @@ def beyond_toes(robot: Robot, q: np.ndarray) -> float:
 
 @lru_cache
 def certified(name: str) -> Solution:
-    solution = trajopt.solve(problems.load(name))
+    solution = motion(name)
     report = check(solution)
     assert solution.converged
     assert not report.failures(), report.failures()

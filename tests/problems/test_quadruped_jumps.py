@@ -9,14 +9,13 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-import trajopt
+from tests.support.solved_problems import motion
 from trajopt.certify.check import check
 from trajopt.certify.report import AT_POINTS
 from trajopt.collision import robot_shapes
 from trajopt.errors import InputError
 from trajopt.robot.kinematics import contact_positions, frame_pose
 from trajopt.robot.legs import leg_joints, quadruped_legs
-from trajopt.solving.solving import solve
 from trajopt.terms import FrameDirection, FramesAbove
 from trajopt_library import problems, robots
 from trajopt_library.problems import (
@@ -150,7 +149,7 @@ def test_robot_beside_a_box_stays_clear_of_it_with_its_base_sunk(kind, posture):
 @pytest.mark.slow
 @pytest.mark.parametrize(("robot", "height"), [("go2", 0.2), ("go2", 0.25), ("solo12", 0.15)])
 def test_leap_onto_a_high_box_holds_at_any_time(robot, height):
-    solution = trajopt.solve(problems.load("quadruped-box-up", robot=robot, height=height))
+    solution = motion("quadruped-box-up", robot=robot, height=height)
     assert solution.success, solution.statistics.advice
 
 
@@ -180,8 +179,7 @@ def test_leg_joints_are_hips_and_knees():
 
 
 def solved(name, **parameters):
-    problem = problems.load(name, **parameters)
-    solution = solve(problem)
+    problem, solution = problems.load(name, **parameters), motion(name, **parameters)
     assert solution.converged, solution.statistics.advice
     report = check(solution)
     assert report.within(AT_POINTS), report.table()

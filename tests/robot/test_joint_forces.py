@@ -9,6 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import trajopt
+from tests.support.refusals import refused
 from trajopt.errors import InputError, UnsupportedJointError
 from trajopt.inspection.faults import find_faults
 from trajopt.inspection.standing import standing_posture
@@ -272,9 +273,8 @@ def still(robot: Robot, *terms: trajopt.terms.Term, actuation: str = "torque") -
 
 def test_a_problem_with_torques_needs_inertia() -> None:
     robot = chain(BAR, NOTHING)
-    with pytest.raises(InputError, match=r"no inertia is moved by joint 'j1' of 'chain'.*lock it") as refused:
+    with refused(r"no inertia is moved by joint 'j1' of 'chain'.*lock it"):
         still(robot, TorqueCost(weight=1.0))
-    assert "\n" not in str(refused.value)
     assert still(robot, actuation="acceleration").robot is robot
     assert still(robot.with_locked(["j1"]), TorqueCost(weight=1.0)).robot.nv == 1
 

@@ -10,6 +10,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import trajopt
+from tests.support.refusals import refused
+from tests.support.solved_problems import motion
 from trajopt.certify.report import AT_POINTS, RESIDUAL
 from trajopt.errors import InputError
 from trajopt.motion.carried import payload_wrenches
@@ -21,7 +23,7 @@ from trajopt.schedule import Phase, Schedule
 from trajopt.solution.solution import Solution
 from trajopt.terms import TerminalRest, TerminalState, TorqueLimits, effort_costs
 from trajopt.terrain.flat import FlatGround
-from trajopt_library import problems, robots
+from trajopt_library import robots
 from trajopt_library.problems import ur5_reach
 
 MASS, CENTRE = 3.0, np.array([0.0, 0.02, 0.1])
@@ -222,9 +224,8 @@ def test_more_inputs_than_rows_share_a_force_with_the_least_norm() -> None:
     ],
 )
 def test_thrusters_that_cannot_be_are_refused_in_one_line(robot, changed, message) -> None:
-    with pytest.raises(InputError, match=message) as raised:
+    with refused(message):
         robots.load(robot).with_thrusters([Thruster(**{"name": "u", "frame": "iris__rotor_0", **changed})])
-    assert "\n" not in str(raised.value)
 
 
 def test_joints_keep_their_limits_and_drives_beside_thrusters() -> None:
@@ -277,7 +278,7 @@ def test_a_flying_arm_with_more_inputs_than_rows_is_solved_saved_and_checked(tmp
 
 
 def test_torques_below_the_least_of_a_thruster_are_found_by_the_check() -> None:
-    solution = trajopt.solve(problems.load("quadrotor-flip"))
+    solution = motion("quadrotor-flip")
     assert trajopt.check(solution).ok
     hovering = solution.with_description(
         thrusters=tuple(

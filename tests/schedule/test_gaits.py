@@ -9,6 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tests.support.models import random_state
+from tests.support.refusals import refused
 from trajopt.errors import InputError
 from trajopt.robot import edge_contacts
 from trajopt.robot.legs import biped_legs, feet_in_base, quadruped_legs
@@ -373,9 +374,8 @@ def test_parts_of_a_phase_share_its_bounds_its_impact_and_what_soles_touch():
     ],
 )
 def test_wrong_use_gives_one_clear_line(changed, message):
-    with pytest.raises(InputError, match=message) as raised:
+    with refused(message):
         roll(steps(), **changed)
-    assert "\n" not in str(raised.value)
 
 
 def test_footholds_of_soles_that_roll_are_refused():

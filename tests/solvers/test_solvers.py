@@ -1,4 +1,4 @@
-"""Solvers on transcribed problems: IPOPT agrees with CasADi's own; stops, options, threads, elastic problems."""
+"""Solvers on transcribed problems: agreement with CasADi, stops, options, threads, the elastic problem."""
 
 from collections.abc import Callable
 

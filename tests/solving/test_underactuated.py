@@ -1,7 +1,6 @@
 """Passive joints at any place and thrusters: their problems are solved, and what they claim is so."""
 
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 import pinocchio as pin
@@ -9,6 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import trajopt
+from tests.support.solved_problems import motion
 from trajopt.collision import BoxObstacle
 from trajopt.errors import InputError, SolutionFileError
 from trajopt.robot import Robot
@@ -26,11 +26,6 @@ SWING_UPS = ("cart-pole", "furuta", "pendubot")
 FLIGHTS = ("quadrotor-window", "quadrotor-flip")
 
 
-@lru_cache
-def solved(name: str) -> Solution:
-    return trajopt.solve(problems.load(name))
-
-
 def heights_of(solution: Solution) -> np.ndarray:
     """Heights of the centre of mass (K,), m."""
     data = solution.model.createData()
@@ -39,7 +34,7 @@ def heights_of(solution: Solution) -> np.ndarray:
 
 @pytest.mark.parametrize("name", SWING_UPS)
 def test_a_passive_joint_swings_up_and_nothing_drives_it(name):
-    problem, solution = problems.load(name), solved(name)
+    problem, solution = problems.load(name), motion(name)
     robot = problem.robot
     assert solution.success, solution.statistics.failures
     assert trajopt.check(solution).ok
@@ -67,7 +62,7 @@ def test_the_cart_pole_costs_what_kelly_published():
 
 @pytest.mark.parametrize("name", [*SWING_UPS, *FLIGHTS])
 def test_files_say_which_rows_are_driven_and_by_what(name, tmp_path):
-    solution = solved(name)
+    solution = motion(name)
     read = Solution.load(solution.save(tmp_path / "plan.npz"))
     assert read.torque_names == solution.torque_names
     np.testing.assert_array_equal(read.actuation.matrix, solution.actuation.matrix)
@@ -89,7 +84,7 @@ def test_files_say_which_rows_are_driven_and_by_what(name, tmp_path):
 def test_wrong_rows_and_thrusters_in_a_file_are_refused(key, value, message, tmp_path):
     import json
 
-    path = solved("cart-pole").save(tmp_path / "plan.npz")
+    path = motion("cart-pole").save(tmp_path / "plan.npz")
     arrays = dict(np.load(path))
     arrays["meta"] = np.array(json.dumps({**json.loads(str(arrays["meta"])), key: value}))
     np.savez(path, **arrays)
@@ -99,7 +94,7 @@ def test_wrong_rows_and_thrusters_in_a_file_are_refused(key, value, message, tmp
 
 @pytest.mark.parametrize("name", FLIGHTS)
 def test_a_quadrotor_flies_by_its_propellers_alone(name):
-    robot, solution = robots.load("iris"), solved(name)
+    robot, solution = robots.load("iris"), motion(name)
     assert solution.success, solution.statistics.failures
     assert trajopt.check(solution).ok
     data, points = solution.model.createData(), np.flatnonzero(solution.collocation)
@@ -115,7 +110,7 @@ def test_a_quadrotor_flies_by_its_propellers_alone(name):
 
 
 def test_the_flip_is_upside_down_in_its_middle_and_ends_where_it_began():
-    solution = solved("quadrotor-flip")
+    solution = motion("quadrotor-flip")
     middle = solution.sample(times=[0.45]).q[0]
     assert pin.Quaternion(*middle[[6, 3, 4, 5]]).toRotationMatrix()[2, 2] < -0.5
     assert_allclose(solution.q[-1, :3], solution.q[0, :3], atol=SOLVED)
@@ -123,7 +118,7 @@ def test_the_flip_is_upside_down_in_its_middle_and_ends_where_it_began():
 
 
 def test_the_window_is_reached_between_its_bars():
-    problem, solution = problems.load("quadrotor-window"), solved("quadrotor-window")
+    problem, solution = problems.load("quadrotor-window"), motion("quadrotor-window")
     clearance = next(term for term in problem.terms if isinstance(term, Clearance))
     centre = np.mean([bar.position for bar in clearance.obstacles if isinstance(bar, BoxObstacle)], axis=0)
     assert_allclose(solution.sample(times=[solution.t[-1] / 2]).q[0, :3], centre, atol=SOLVED)
@@ -133,7 +128,7 @@ def test_the_window_is_reached_between_its_bars():
 @pytest.mark.parametrize("name", ["cart-pole", "furuta", *FLIGHTS])
 def test_plans_with_passive_joints_and_thrusters_hold_in_mujoco(name):
     pytest.importorskip("mujoco")
-    assert trajopt.simulate(solved(name)).report.passed
+    assert trajopt.simulate(motion(name)).report.passed
 
 
 def test_a_leg_with_a_passive_knee_keeps_its_row_of_the_dynamics():
