@@ -116,13 +116,7 @@ def in_turns(
     iterations = [0 for _ in ways]
     for _ in range(repeats):
         for i, way in enumerate(ways):
-            found = solve(
-                problem,
-                transcription=scheme,
-                intervals=intervals,
-                judge=False,
-                **way,
-            ).statistics
+            found = solve(problem, transcription=scheme, intervals=intervals, judge=False, **way).statistics
             times[i].append(1e3 * found.wall_time_s / found.iterations)
             iterations[i] = found.iterations
     return [median(part) for part in times], iterations

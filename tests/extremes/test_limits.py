@@ -15,11 +15,7 @@ from tests.extremes.outcomes import Failed, Refused, Solved, assert_outcome
 from trajopt.problem.problem import Problem
 from trajopt.solution.solution import Solution
 from trajopt.solvers.status import Status
-from trajopt.terms import (
-    Cost,
-    NodeCost,
-    TorqueLimits,
-)
+from trajopt.terms import Cost, NodeCost, TorqueLimits
 from trajopt_library import problems, robots
 
 # Open-loop error (rad) of an arm's second of motion on ten intervals of degree two; measured up to 2e-2.
@@ -196,11 +192,7 @@ SAME = 1e-9
 # way round. Both optima are flat: objectives agree to the solver's tolerance, motions to its square root.
 NEXT_TO_NONE, FLAT = 1e-4, 5e-2
 # Family, intervals, open loop, rad and parts of the length.
-MOTIONS = {
-    "ur5-reach": (10, 0.5),
-    "hopper-hop": (40, 0.3),
-    "solo12-jump": (15, 3.0),
-}
+MOTIONS = {"ur5-reach": (10, 0.5), "hopper-hop": (40, 0.3), "solo12-jump": (15, 3.0)}
 WILD = 20.0  # times that, where nothing holds accelerations or torques back on such grids
 COARSE_GRID = 0.05  # m, between the points of these grids
 SHORT = ["ur5-reach", "hopper-hop", pytest.param("solo12-jump", marks=pytest.mark.slow)]

@@ -130,10 +130,7 @@ def in_space(q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, n
 
 
 def test_a_plan_in_the_plane_obeys_the_free_flyers_dynamics():
-    solution, floating = (
-        trajopt.solve(hop(solo("planar")), fixed_mesh=True),
-        solo("freeflyer"),
-    )
+    solution, floating = (trajopt.solve(hop(solo("planar")), fixed_mesh=True), solo("freeflyer"))
     model, data = floating.model, floating.model.createData()
     frames = [model.getFrameId(contact.frame) for contact in floating.contacts]
     in_plane = [0, 2, 4, *range(6, model.nv)]

@@ -216,10 +216,7 @@ def test_arrays_of_a_robot_are_read_only():
         ),
         ({"contacts": (Contact(frame="tool_0"),)}, "close matches: tool0"),
         ({"base": "freeflyer"}, "has a fixed root joint"),
-        (
-            {"base": "floating"},
-            "base of Robot .* is .floating.; allowed: freeflyer, virtual, planar, fixed",
-        ),
+        ({"base": "floating"}, "base of Robot .* is .floating.; allowed: freeflyer, virtual, planar, fixed"),
         (
             {"torque_limit": np.full(6, -1.0)},
             "torque_limit of joint 'shoulder_pan_joint' of 'ur5' is -1: negative or NaN",

@@ -187,8 +187,7 @@ def test_legs_are_found_by_geometry_whatever_their_names() -> None:
     legs = quadruped_legs(robot)
     swapped = {legs.front_left: "hind right", legs.hind_right: "front left"}
     renamed = replace(
-        robot,
-        contacts=tuple(replace(c, name=swapped.get(c.name, c.name)) for c in robot.contacts),
+        robot, contacts=tuple(replace(c, name=swapped.get(c.name, c.name)) for c in robot.contacts)
     )
     assert quadruped_legs(renamed).front_left == "hind right"
     assert legs.mirror[legs.hind_left] == legs.hind_right
@@ -231,11 +230,7 @@ def test_parts_of_swings_are_those_of_the_gait(gait: Gait) -> None:
     """Against the closed form: the swing of a foot is from offset + duty to offset + 1."""
     schedule = _schedule(gait)
     inside, _ = swing_arcs(
-        schedule,
-        gait.feet,
-        height=0.1,
-        terrain=FlatGround(),
-        next_name={foot: foot for foot in gait.feet},
+        schedule, gait.feet, height=0.1, terrain=FlatGround(), next_name={foot: foot for foot in gait.feet}
     )
     begin, start = 0.0, min(gait.offsets.values())
     for phase in schedule.phases:

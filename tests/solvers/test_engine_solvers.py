@@ -284,13 +284,7 @@ def test_two_threads_may_use_one_nlp():
                 assert_array_equal(value, known)
 
 
-@pytest.mark.parametrize(
-    ("sizes", "message"),
-    [
-        ((-1, 0, 0), "negative"),
-        ((2**30, 0, 0), "2\\^28"),
-    ],
-)
+@pytest.mark.parametrize(("sizes", "message"), [((-1, 0, 0), "negative"), ((2**30, 0, 0), "2\\^28")])
 def test_sizes_that_cannot_be_are_refused(sizes, message):
     none = np.zeros(0, dtype=np.int32)
     with pytest.raises(ValueError, match=message):

@@ -330,8 +330,7 @@ def test_tool_passes_its_goal_with_the_velocity_asked():
     reach = problems.load("ur5-reach")
     kept = tuple(term for term in reach.terms if not isinstance(term, TerminalRest))
     solution = solve(
-        replace(reach, terms=(*kept, FrameVelocity(frame=TOOL, velocity=velocity))),
-        intervals=15,
+        replace(reach, terms=(*kept, FrameVelocity(frame=TOOL, velocity=velocity))), intervals=15
     )
     assert solution.converged
     model, data = reach.robot.model, reach.robot.model.createData()

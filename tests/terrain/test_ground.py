@@ -13,11 +13,7 @@ from tests.support.problems import FOOT, hopper
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.robot.units import Units
 from trajopt.schedule.schedule import Phase
-from trajopt.terms import (
-    Context,
-    NodePlace,
-    SwingClearance,
-)
+from trajopt.terms import Context, NodePlace, SwingClearance
 from trajopt.terms.friction import surface_force
 from trajopt.terrain.bodies import SAME, ConvexGround, HalfSpace, convex_hull, ground_bodies, outline
 from trajopt.terrain.flat import FlatGround

@@ -13,12 +13,7 @@ from trajopt.dynamics.manifold import Coordinates
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.units import Units
 from trajopt.schedule.schedule import Phase, Schedule
-from trajopt.terms import (
-    Context,
-    NodePlace,
-    SwingOver,
-    swing_clearance,
-)
+from trajopt.terms import Context, NodePlace, SwingOver, swing_clearance
 from trajopt.terrain.crossing import crossing
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.swing_paths import swing_path, swing_profile

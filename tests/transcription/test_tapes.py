@@ -9,13 +9,7 @@ from scipy import sparse
 from tests.support.problems import hop
 from tests.support.registers import REGISTERS, registers
 from trajopt import _engine
-from trajopt.transcription.sparse_maps import (
-    DerivativeMap,
-    Pattern,
-    SparseMatrix,
-    hessian_map,
-    jacobian_map,
-)
+from trajopt.transcription.sparse_maps import DerivativeMap, Pattern, SparseMatrix, hessian_map, jacobian_map
 from trajopt.transcription.stage_functions import Derivatives
 from trajopt.transcription.transcription import transcribe
 
@@ -150,10 +144,7 @@ def test_bytes_that_are_no_tape_are_refused_or_stay_within_their_work():
 
 @pytest.mark.parametrize(
     ("given", "wanted"),
-    [
-        (ca.Function("f", [ca.MX.sym("x")], [1]), "scalar operations"),
-        ("f", "a Tape needs a casadi.Function"),
-    ],
+    [(ca.Function("f", [ca.MX.sym("x")], [1]), "scalar operations"), ("f", "a Tape needs a casadi.Function")],
 )
 def test_what_is_no_function_of_scalar_operations_is_refused(given, wanted):
     with pytest.raises(ValueError, match=wanted):
