@@ -22,8 +22,6 @@ from trajopt.transcription.guess import perturbed
 from trajopt.transcription.transcription import Transcription
 from trajopt.transcription.violations import row_violations
 
-# Two solvers that stop at a tolerance of 1e-6 agree on the objective to this.
-AGREEMENT = 1e-4
 # The same solver on the same functions, at a tolerance of 1e-9.
 SAME_OPTIMUM = 1e-6
 

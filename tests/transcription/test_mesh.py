@@ -71,10 +71,6 @@ def test_mesh_of_a_file_without_one_follows_from_its_times():
     assert mesh_of(old) == mesh_of(even) == Mesh.uniform("legendre:2", hop().schedule.intervals(12))
 
 
-def vars_of(solution):
-    return {name: getattr(solution, name) for name in Solution.__dataclass_fields__}
-
-
 def test_derivatives_on_an_uneven_mesh_are_those_of_differences():
     prepared = prepare(hop(), mesh=UNEVEN)
     engine, x = prepared.nlp.engine, prepared.guess
