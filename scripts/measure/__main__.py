@@ -6,96 +6,44 @@ OMP_NUM_THREADS=1 uv run python -m scripts.measure models --only hopper
 
 import contextlib
 import functools
+import importlib
 import io
+import pkgutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import click
 
-from scripts import documents
-from scripts.measure import (
-    clearance,
-    descriptions,
-    discovery,
-    grades,
-    guesses,
-    hands,
-    heel_toe,
-    infeasible,
-    linear_systems,
-    models,
-    object_places,
-    objects,
-    outside,
-    robustness,
-    rooms,
-    scenes,
-    steering,
-    steering_arms,
-    steering_disturbances,
-    steering_motions,
-    suite,
-)
+from scripts import documents, measure
 
 DOCS = Path(__file__).parents[2] / "docs"
-COMMANDS = (
-    models.models,
-    models.bases,
-    models.goals,
-    models.smoothing,
-    models.transfers,
-    models.jump_range,
-    objects.objects,
-    objects.objects_found,
-    object_places.object_places,
-    outside.outside,
-    descriptions.descriptions,
-    discovery.discovery,
-    discovery.gaits_by_speed,
-    discovery.goals,
-    grades.grades,
-    guesses.guesses,
-    hands.hands,
-    heel_toe.heel_toe,
-    heel_toe.longest_steps,
-    infeasible.infeasible,
-    linear_systems.linear_systems,
-    linear_systems.scaling,
-    scenes.scenes,
-    steering.commands,
-    steering.bipeds,
-    steering.pushed,
-    steering_disturbances.disturbed,
-    steering_disturbances.carried,
-    steering.gait_changes,
-    steering_disturbances.rough,
-    steering_motions.replanned,
-    steering_arms.targets,
-    suite.suite,
-    suite.library,
-    suite.tracking,
-    clearance.clearance,
-    robustness.robustness,
-    rooms.tests,
-)
+
+
+def _commands() -> Iterator[click.Command]:
+    """The commands of all modules beside this one."""
+    for module in pkgutil.iter_modules(measure.__path__):
+        if module.name != "__main__":
+            values = vars(importlib.import_module(f"{measure.__name__}.{module.name}")).values()
+            yield from (value for value in values if isinstance(value, click.Command))
 
 
 def _writing(command: click.Command) -> click.Command:
     """The command with --write: its output goes into the page of the documents that has its marker."""
-    measure = command.callback
-    if measure is None:
+    measured = command.callback
+    if measured is None:
         return command
 
-    @functools.wraps(measure)
+    @functools.wraps(measured)
     def written(write: bool, **arguments: object) -> None:
         if not write:
-            measure(**arguments)
+            measured(**arguments)
             return
         marker, output = str(command.name), io.StringIO()
         pages = [page for page in DOCS.rglob("*.md") if f"<!-- {marker} -->" in page.read_text()]
         if not pages:
             raise click.ClickException(f"no page of {DOCS} has the marker <!-- {marker} -->")
         with contextlib.redirect_stdout(output):
-            measure(**arguments)
+            measured(**arguments)
         for page in pages:
             page.write_text(documents.written(page.read_text(), marker, output.getvalue()))
             click.echo(page)
@@ -107,7 +55,7 @@ def _writing(command: click.Command) -> click.Command:
     return command
 
 
-@click.group(commands={command.name: _writing(command) for command in COMMANDS})
+@click.group(commands={command.name: _writing(command) for command in _commands()})
 def main() -> None:
     """Measure what the documents cite; tables are Markdown."""
 
