@@ -16,6 +16,7 @@ from trajopt.collision import robot_shapes
 from trajopt.errors import InputError
 from trajopt.robot.kinematics import contact_positions, frame_pose
 from trajopt.robot.legs import leg_joints, quadruped_legs
+from trajopt.solving.solving import solve
 from trajopt.terms import FrameDirection, FramesAbove
 from trajopt_library import problems, robots
 from trajopt_library.problems import (
@@ -179,7 +180,8 @@ def test_leg_joints_are_hips_and_knees():
 
 
 def solved(name, **parameters):
-    problem, solution = problems.load(name, **parameters), motion(name, **parameters)
+    problem = problems.load(name, **parameters)
+    solution = solve(problem)
     assert solution.converged, solution.statistics.advice
     report = check(solution)
     assert report.within(AT_POINTS), report.table()
