@@ -28,7 +28,7 @@ def _commands() -> Iterator[click.Command]:
 
 
 def _writing(command: click.Command) -> click.Command:
-    """The command with --write: its output goes into the page of the documents that has its marker."""
+    """The command with --write: its output goes into the page that has its marker, or into its CSV file."""
     measured = command.callback
     if measured is None:
         return command
@@ -40,17 +40,21 @@ def _writing(command: click.Command) -> click.Command:
             return
         marker, output = str(command.name), io.StringIO()
         pages = [page for page in DOCS.rglob("*.md") if f"<!-- {marker} -->" in page.read_text()]
-        if not pages:
-            raise click.ClickException(f"no page of {DOCS} has the marker <!-- {marker} -->")
+        data = DOCS / "data" / f"{marker}.csv"
+        if not pages and not data.exists():
+            raise click.ClickException(f"no page has the marker <!-- {marker} -->, and {data} does not exist")
         with contextlib.redirect_stdout(output):
             measured(**arguments)
         for page in pages:
             page.write_text(documents.written(page.read_text(), marker, output.getvalue()))
             click.echo(page)
+        if data.exists():
+            documents.write_csv(data, output.getvalue())
+            click.echo(data)
 
     command.callback = written
     command.params.append(
-        click.Option(["--write"], is_flag=True, help="Write into the page that has its marker.")
+        click.Option(["--write"], is_flag=True, help="Write into the page with its marker, or its CSV file.")
     )
     return command
 

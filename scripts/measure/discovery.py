@@ -10,8 +10,8 @@ import numpy as np
 import trajopt
 from scripts.measure.shared import head, named, row
 from trajopt.discovery import Destination, Discovery, discover, task_to
-from trajopt.discovery.gait_likeness import nearest_gait
 from trajopt.discovery.goal import obstacle
+from trajopt.discovery.proposals import nearest_gait
 from trajopt.discovery.trials import spent
 from trajopt.dynamics import gravity_of
 from trajopt.errors import InputError

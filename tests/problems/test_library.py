@@ -15,8 +15,7 @@ from trajopt.problem.catalogue import families
 from trajopt.study.suite import data
 from trajopt.study.suite.cases import Case, all_cases
 from trajopt.study.suite.outcome import Outcome
-from trajopt.study.suite.run import attempt
-from trajopt.study.suite.settings import SuiteSettings
+from trajopt.study.suite.run import SuiteSettings, attempt
 
 DATA = ROOT / "tests" / "data" / "suite.csv"
 SETTINGS = SuiteSettings()

@@ -1,13 +1,28 @@
-"""Why a solve failed, in one word: the optimality condition that was not met, or another reason."""
+"""The solve of a case in any study: its settings, its file, and in one word why it failed."""
 
 import math
+from dataclasses import dataclass
+from typing import Any
 
+from trajopt.errors import InputError
+from trajopt.problem.problem import Problem
+from trajopt.solution.solution import Solution
 from trajopt.solution.statistics import SolveStatistics
 from trajopt.solvers.drivers import SOLVERS
 from trajopt.solvers.status import Status
+from trajopt.solving.graded import solve
+from trajopt.solving.solving import check_settings
+from trajopt.solving.time_limits import BESIDE, GRACE
 from trajopt.solving.verdicts import STILL_FEASIBLE
 from trajopt.transcription.violations import describe_block
 
+# Most starts of a case: more add no information and take a day.
+MOST_STARTS = 10_000
+# Seconds of a task besides its solves: building, functions that are not in the cache yet, the check.
+BUILD_TIME = 300.0
+# Longest time, s, that the timers of all kernels take.
+MOST_TIME = 1e9
+# Failure modes: the optimality condition that was not met, or another reason.
 SOLVED = ""
 PRIMAL = "primal"
 DUAL = "dual"
@@ -31,6 +46,49 @@ _OF_STATUS = {
     Status.COARSE_GRID: CHECK,
     Status.INVALID: ERROR,
 }
+
+
+@dataclass(frozen=True, kw_only=True)
+class SolveSettings:
+    """How the cases of a study are solved. Raises `InputError` for invalid values.
+
+    Args:
+        solver: as in `trajopt.solve`.
+        tolerance: as in `trajopt.solve`.
+        max_iterations: as in `trajopt.solve`.
+        max_time: for all solves from one start, s.
+    """
+
+    solver: str = "ipopt"
+    tolerance: float = 1e-6
+    max_iterations: int = 500
+    max_time: float = 60.0
+
+    def __post_init__(self) -> None:
+        check_settings(self.solver, self.tolerance, self.max_iterations, self.max_time, 0.0, 0)
+
+    @property
+    def starts(self) -> int:
+        """Number of starts of one task."""
+        return 1
+
+    @property
+    def longest(self) -> float:
+        """Time limit of a task's process, s."""
+        return min(self.starts * (self.max_time + BESIDE) + GRACE + BUILD_TIME, MOST_TIME)
+
+    def solve(self, problem: Problem, **arguments: Any) -> Solution:
+        """The solution by `trajopt.solve` with these settings and further arguments."""
+        settings = {name: getattr(self, name) for name in SolveSettings.__dataclass_fields__}
+        return solve(problem, **(settings | arguments))
+
+
+def file_content(solution: Solution) -> bytes | None:
+    """Content of a solution's file; None for an iterate that is not finite."""
+    try:
+        return solution.to_bytes()
+    except InputError:
+        return None
 
 
 def mode_of(statistics: SolveStatistics) -> str:
