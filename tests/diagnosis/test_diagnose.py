@@ -9,16 +9,7 @@ from scipy.optimize import linprog
 
 import trajopt
 from tests.support.diagnosed import snapshot_of, solved
-from tests.support.problems import (
-    FOOT,
-    REACH,
-    REACH_TIME,
-    hop,
-    inertia,
-    lean,
-    limited_reach,
-    reach,
-)
+from tests.support.problems import FOOT, REACH, REACH_TIME, hop, inertia, lean, limited_reach, reach
 from tests.support.redundant_contacts import corners
 from trajopt import Problem, Robot
 from trajopt.diagnosis.conflict import BOX

@@ -137,9 +137,7 @@ def test_velocities_of_links_are_derivatives_of_their_poses(kind: str) -> None:
     for column in range(len(motion.links.names)):
         before, after = (rotation_of(quaternion[row + step, column]) for step in (-1, 1))
         assert_allclose(
-            motion.links.angular_velocity[row, column],
-            pin.log3(after @ before.T) * FINE / 2,
-            atol=DIFFERENCE,
+            motion.links.angular_velocity[row, column], pin.log3(after @ before.T) * FINE / 2, atol=DIFFERENCE
         )
 
 

@@ -76,11 +76,7 @@ class CellError(AssertionError):
 
 
 def assert_outcome(
-    expected: Expected,
-    make: Callable[[], Problem],
-    *,
-    hard_limit: float = HARD_LIMIT,
-    **settings: Any,
+    expected: Expected, make: Callable[[], Problem], *, hard_limit: float = HARD_LIMIT, **settings: Any
 ) -> Solution | None:
     """Build and solve in another process, hold the outcome to what is expected, return the solution.
 

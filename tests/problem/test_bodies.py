@@ -9,6 +9,7 @@ import pytest
 
 import trajopt
 from tests.support.ground import HILLS, STAIRS
+from tests.support.refusals import refused
 from tests.support.swings import BALL, FAR, MARGIN, ROD_CAPSULES, past, rods, swing
 from trajopt.collision.description import robot_shapes, sampled_postures
 from trajopt.collision.near import GROUND
@@ -132,9 +133,8 @@ def test_ground_is_not_solid_to_a_pendulum():
 
 def test_start_too_near_an_obstacle_is_refused_in_one_line():
     near = SphereObstacle(name="near", centre=[-0.3, 0.0, 1.2], radius=0.1)
-    with pytest.raises(InputError, match=r"starts .* m from 'near' .*; allowed: at least 0.02 m") as caught:
+    with refused(r"starts .* m from 'near' .*; allowed: at least 0.02 m"):
         bodies_of(past(swing(), near))
-    assert "\n" not in str(caught.value)
 
 
 def beside_the_start(gap: float) -> Problem:
@@ -161,9 +161,8 @@ def ending(*terms: Term, shapes: Sequence[LinkShape] | None = None, **changes: o
 
 def test_final_configuration_in_an_obstacle_is_refused_in_one_line():
     message = r"'joint1' in q of terminal_state is -0\..* m from 'lying' .*; allowed: at least 0.02 m"
-    with pytest.raises(InputError, match=message) as caught:
+    with refused(message):
         bodies_of(past(swing(), LYING))
-    assert "\n" not in str(caught.value)
     assert bodies_of(past(swing(end=np.array([0.6, 0.0, 0.0])), LYING)).pairs
 
 
@@ -286,9 +285,8 @@ BAD = {
 @pytest.mark.parametrize("case", BAD)
 def test_bad_settings_are_refused_in_one_line(case):
     build, message = BAD[case]
-    with pytest.raises(InputError, match=message) as caught:
+    with refused(message):
         build()
-    assert "\n" not in str(caught.value)
 
 
 def test_planes_of_the_ground_are_those_of_its_near_faces():

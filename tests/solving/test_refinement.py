@@ -23,13 +23,7 @@ from trajopt.solving.refinement import PATIENCE, Refinement, _balanced
 from trajopt.solving.remeshing import MOST_PARTS, PhaseErrors, remeshed
 from trajopt.solving.rounds import phase_errors
 from trajopt.solving.solving import solve
-from trajopt.terms import (
-    AccelerationCost,
-    PositionLimits,
-    PostureCost,
-    TorqueLimits,
-    VelocityLimits,
-)
+from trajopt.terms import AccelerationCost, PositionLimits, PostureCost, TorqueLimits, VelocityLimits
 from trajopt.transcription.mesh import Mesh, PhaseMesh
 from trajopt.transcription.schemes import scheme
 from trajopt.transcription.transcription import chosen_mesh
