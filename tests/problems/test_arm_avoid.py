@@ -18,8 +18,8 @@ from trajopt.solving.exchange import GAP_SLACK, Exchange
 from trajopt.solving.graded import solve as solve_graded
 from trajopt.solving.solving import solve as solve_on_mesh
 from trajopt.terms import Clearance
+from trajopt.terrain import smooth_step
 from trajopt_library.problems import arm_avoid
-from trajopt_library.problems.common import smooth_step
 
 POSE = 1e-6  # m and 1; what the solver's tolerance leaves
 BETWEEN = 2e-3  # m; between the looks, and what one more look would gain
