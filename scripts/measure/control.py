@@ -60,8 +60,8 @@ def ticks() -> None:
         found = simulate(plan, cycles=cycles, controller="whole-body")
         for solver in get_args(QpSolverName):
             tracker = Tracker(plan, cycles=cycles, solver=solver)
-            q = found.world.coordinates.from_mujoco(found.record.qpos)
-            v = found.world.coordinates.rates_from_mujoco(found.record.qpos, found.record.qvel)
+            q = found.scene.coordinates.from_mujoco(found.record.qpos)
+            v = found.scene.coordinates.rates_from_mujoco(found.record.qpos, found.record.qvel)
             for k, t in enumerate(tracker.reference.t[: found.reference.planned]):
                 tracker.torque(float(t - tracker.reference.t[0]), q[k], v[k], tracker.reference.active[k])
             times = sorted(tracker.counts.times)

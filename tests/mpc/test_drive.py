@@ -107,7 +107,7 @@ def test_durations_that_are_free_change_with_a_push(go2: Robot) -> None:
 
 
 def test_speeds_are_those_of_the_base(walk: DrivenMotion) -> None:
-    q, period = walk.record.qpos, walk.reference.period
+    q, period = walk.record.qpos, walk.timeline.period
     assert walk.velocity.shape == walk.commanded.shape == (2000, 3)
     moved = np.linalg.norm(np.diff(q[:, :2], axis=0), axis=1) / period
     np.testing.assert_allclose(np.linalg.norm(walk.velocity[:, :2], axis=1), moved, atol=NEAR)
@@ -166,7 +166,7 @@ def test_feet_stand_on_a_slope_of_which_the_controller_knows_nothing(go2: Robot)
     assert found.report.passed
     loaded = np.linalg.norm(found.record.force[:, :, :3], axis=2) > 0.1 * go2.weight
     feet = found.record.feet[loaded]
-    surfaces = slope.offset(found.world.place.radii[0])
+    surfaces = slope.offset(found.scene.place.radii[0])
     on_slope = feet[:, 0] > AHEAD + 0.05
     assert on_slope.any()
     np.testing.assert_allclose(feet[:, 2], surfaces.height(feet[:, 0], feet[:, 1]), atol=GIVES_WAY)

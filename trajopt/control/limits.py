@@ -8,16 +8,15 @@ import pinocchio as pin
 from trajopt.dynamics.base_joint import UNLIMITED, position_limits
 from trajopt.robot.actuators.actuation import least_inputs
 from trajopt.robot.actuators.drive import Drive
-from trajopt.solution.solution import Solution
+from trajopt.solution.description import PlanDescription
 
 
-def torque_limits(plan: Solution) -> tuple[np.ndarray, np.ndarray]:
-    """Least and largest inputs (nu,); unlimited if the control inputs of the plan are not torques."""
-    limit = np.full(plan.tau.shape[1], np.inf)
-    given = plan.description.effort_limit
-    if given is not None and plan.description.actuation == "torque":
-        limit = _numbers(given)
-    return least_inputs(limit, plan.description.thrusters), limit
+def torque_limits(about: PlanDescription, nu: int) -> tuple[np.ndarray, np.ndarray]:
+    """Least and largest inputs (nu,); unlimited if the control inputs are not torques."""
+    limit = np.full(nu, np.inf)
+    if about.effort_limit is not None and about.actuation == "torque":
+        limit = _numbers(about.effort_limit)
+    return least_inputs(limit, about.thrusters), limit
 
 
 def limits_with_drives(

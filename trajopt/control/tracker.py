@@ -82,7 +82,7 @@ class Tracker:
         self.last: TickResult | None = None
         self.request = TickRequest.none(len(plan.contact_frames))
         self._programs: dict[int, TaskSpaceInverseDynamics] = {}
-        self._low, self._high = torque_limits(plan)
+        self._low, self._high = torque_limits(plan.description, plan.tau.shape[1])
         fastest, horizon = plan.description.velocity_limit, HORIZON * self.reference.period
         self._range = JointRange(plan.model, plan.actuated_rows, fastest, horizon)
         tracked = plan, self.reference, self.targets

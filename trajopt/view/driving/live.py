@@ -107,9 +107,9 @@ class LiveDrive:
         With ``seconds``, a fall also ends the drive; an error of the controller counts as one. With
         ``exit_with_page``, it ends `SILENCE` s after the last message of the page.
         """
-        session, turns = self.session, 0
+        session, driven, turns = self.session, self.session.driven, 0
         while not (leaving() or (exit_with_page and session.silent)):
-            if seconds is not None and (session.passed >= seconds - LEAST or session.fall is not None):
+            if seconds is not None and (driven.passed >= seconds - LEAST or driven.fall is not None):
                 return
             session.turn()
             turns += 1
