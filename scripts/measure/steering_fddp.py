@@ -221,7 +221,7 @@ class Shooting:
     @cached_property
     def _reference(self) -> Reference:
         controller = self.steady.controller
-        return controller._refer()(controller.planner.clock, self.steady.q)
+        return controller._reference_maker()(controller.planner.clock, self.steady.q)
 
 
 def _joints(model: pin.Model) -> list[dict[str, Any]]:

@@ -177,6 +177,10 @@ def _live(robot: str, output: Path | None, how: dict[str, Any], **options: Any) 
     from trajopt.view.driving.live import LiveDrive
 
     loaded = load(robot)
+    if loaded.base == "fixed" and not options["target"]:
+        raise InputError(
+            f"robot '{loaded.name}' has a fixed base", "allowed: with --target, an arm's tool follows"
+        )
     with busy(f"preparing {loaded.name}"):
         live = LiveDrive(loaded, **options)
     with live, INTERRUPTION.deferring():

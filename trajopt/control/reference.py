@@ -56,7 +56,7 @@ class Timeline:
     @classmethod
     def of_one_phase(cls, name: str, rate: float, duration: float, active: np.ndarray) -> Timeline:
         """One phase of ``duration`` s at ``rate`` Hz, with ``active`` contacts (nc,). Raises `InputError`."""
-        require_few_ticks(duration * rate, "a lower --control-rate or a shorter duration")
+        require_few_ticks(duration * rate, "a lower control_rate or a shorter duration")
         count = max(1, round(duration * rate))
         return cls(
             t=np.arange(count) / rate,
@@ -107,7 +107,7 @@ def reference_of(plan: Solution, rate: float, cycles: int = 1, *, hold: float = 
     """
     whole = passes_of(plan, cycles)
     periods = float(plan.interval_t[-1, 1] - plan.interval_t[0, 0]) * rate * whole
-    require_few_ticks(periods, "a lower --control-rate or fewer --cycles")
+    require_few_ticks(periods, "a lower control_rate or fewer cycles")
     one = _once(plan, rate)
     if whole > 1:
         one = _repeated(plan, one, whole)

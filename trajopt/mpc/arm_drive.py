@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -33,8 +32,6 @@ from trajopt.solution.solution import Solution
 
 # Largest offset of the target from its start, over the robot's length, and its speed in natural units.
 FARTHEST, TARGET_SPEED = 0.35, 0.2
-# A place this far beyond the box of the target is moved onto its boundary, m: a browser rounds.
-EDGE = 1e-9
 # Period and delay of plans, s.
 PERIOD, DELAY = 0.02, 0.01
 # Control rate, Hz.
@@ -153,33 +150,26 @@ class ToolSteering:
 
     Args:
         controller: a new controller.
+        goal: the goal (3,), m, at a time in s.
 
     Attributes:
         low: lower corner (3,) of the box in which goals lie, m.
         high: upper corner (3,) of this box, m.
-        goal: place (3,) to which the target moves, m; set it by `send`.
         place: place (3,) of the target in the last tick, m.
         path: the path of the target so far.
     """
 
-    def __init__(self, controller: ArmController) -> None:
-        self.controller, robot = controller, controller.robot
+    def __init__(self, controller: ArmController, goal: Callable[[float], np.ndarray]) -> None:
+        self.controller, self.goal, robot = controller, goal, controller.robot
         self._start = frame_pose(robot, robot.reference, controller.tool)
         units, far = NaturalUnits.of(robot.model), FARTHEST * robot.length
-        self.goal = self.place = self._start.translation.copy()
+        self.place = self._start.translation.copy()
         self.low, self.high = self.place - far, self.place + far
         self.path = TargetPath(self.place, TARGET_SPEED * units.length / units.time)
 
-    def send(self, goal: Mapping[str, float]) -> None:
-        """Send the target to a goal, m by axis. Raises `InputError` outside of the box."""
-        for axis, low, high in zip(AXES, self.low.tolist(), self.high.tolist(), strict=True):
-            if not low - EDGE <= goal[axis] <= high + EDGE:
-                raise InputError(f"{axis} is {shown(goal[axis])}", f"allowed: {low:.4g} to {high:.4g} m")
-        self.goal = np.clip([goal[axis] for axis in AXES], self.low, self.high)
-
     def torque(self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray) -> np.ndarray:
         """Torques (nu,) at ``t`` s, see `ArmController.step`."""
-        self.path.send(t, self.goal)
+        self.path.send(t, self.goal(t))
         self.place, velocity = self.path.at(t)
         target = ToolTarget(position=self.place, rotation=self._start.rotation, velocity=velocity)
         return self.controller.step(t, q, v, target)
@@ -270,17 +260,18 @@ def drive_arm(
     if not len(times) or times[0] != 0 or (np.diff(times) <= 0).any():
         raise InputError(f"times of targets are {times.tolist()}", "allowed: the first 0, then increasing, s")
     chosen = settings or ArmSettings(period=PERIOD, delay=DELAY)
-    steering = ToolSteering(ArmController(robot, None, obstacles, chosen))
-    goals = [dict(zip(AXES, place, strict=True)) for place in targets[:, 1:].tolist()]
-    for goal in goals:
-        steering.send(goal)
     wanted = SimulationSettings(**{"control_rate": RATE, "rolling": True, **hardware})
     driven = DrivenScene(robot, wanted, duration or float(times[-1]) + LAST, obstacles=obstacles)
+    starts, goals = np.round(times * wanted.control_rate), targets[:, 1:]
+
+    def goal(time: float) -> np.ndarray:
+        tick = round(time * wanted.control_rate)
+        return np.asarray(goals[np.searchsorted(starts, tick, side="right") - 1])
+
+    steering = ToolSteering(ArmController(robot, None, obstacles, chosen), goal)
+    for row, axis in zip(*np.nonzero((goals < steering.low) | (goals > steering.high)), strict=True):
+        allowed = f"allowed: {steering.low[axis]:.4g} to {steering.high[axis]:.4g} m"
+        raise InputError(f"{AXES[axis]} is {shown(float(goals[row, axis]))}", allowed)
     driven.begin(steering)
-    period, ticks = driven.timeline.period, len(driven.timeline.t)
-    edges = [*np.minimum(np.round(times / period).astype(int), ticks).tolist(), ticks]
-    for goal, (first, last) in zip(goals, pairwise(edges), strict=True):
-        steering.send(goal)
-        if driven.fall is None:
-            driven.advance(last - first)
+    driven.advance(len(driven.timeline.t))
     return ArmDrive.of(driven, steering)

@@ -68,39 +68,24 @@ class DrivenScene:
         ground: PiecewiseTerrain | None = None,
         obstacles: Sequence[Obstacle] = (),
     ) -> None:
-        self.robot, self.settings = robot, settings
-        stands = standing_feet(robot)
-        feet = np.array([*contact_positions(robot, robot.reference).values()]).reshape(-1, 3)
-        about = replace(
-            described(rest(robot)), problem="drive", phase_names=("drive",), obstacles=tuple(obstacles)
-        )
-        if ground is not None:
-            if np.abs(ground.height(feet[:, 0], feet[:, 1])).max() > LEVEL:
-                raise InputError(
-                    "ground of drive is not at the height 0 where the robot stands", "allowed: it is"
-                )
-            about = replace(about, terrain=ground)
-        require_fitting(settings, robot.model, about.frames)
+        self.robot, self.settings, self._ground = robot, settings, ground
+        q, stands = robot.reference, standing_feet(robot)
+        feet = np.array([*contact_positions(robot, q).values()]).reshape(-1, 3)
+        if ground is not None and np.abs(ground.height(feet[:, 0], feet[:, 1])).max() > LEVEL:
+            raise InputError(
+                "ground of drive is not at the height 0 where the robot stands", "allowed: it is"
+            )
+        simulated = _simulated(robot, ground, obstacles)
+        require_fitting(settings, simulated.model, simulated.description.frames)
         standing = np.array([contact in stands for contact in robot.contacts], dtype=bool)
         self.timeline = Timeline.of_one_phase("drive", settings.control_rate, duration, standing)
         require_within(settings, self.timeline)
-        model = robot.limited_model()
-        simulated = SceneRobot(
-            model=model,
-            description=about,
-            actuated_rows=robot.actuated_rows,
-            actuation=robot.actuation,
-        )
         with muted_mujoco():
-            site = Site.at_rest(simulated, robot.reference, np.flatnonzero(standing).tolist())
+            site = Site.at_rest(simulated, q, np.flatnonzero(standing).tolist())
             self.scene: Scene = build_scene(site, settings)
-        torque = _torque_at_rest(robot, stands)
-        self._start = Start(q=robot.reference, v=np.zeros(robot.nv), torque=torque)
-        over = 0.0
-        if stands:
-            over = mean_height(model, robot.reference[None], feet[None], standing[None])
+        self._start = Start(q=q, v=np.zeros(robot.nv), torque=_torque_at_rest(robot, stands))
+        over = mean_height(robot.model, q[None], feet[None], standing[None]) if stands else 0.0
         self._test = FallTest(scene=self.scene, height=over)
-        self._ground = ground
 
     def begin(self, controller: TorqueController, height: Callable[[float], float] | None = None) -> None:
         """Put the robot back into its start.
@@ -177,6 +162,19 @@ class DrivenScene:
         half = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)) / 2
         result[:, 3:7] = np.column_stack([np.zeros((len(q), 2)), np.sin(half), np.cos(half)])
         return result
+
+
+def _simulated(robot: Robot, ground: PiecewiseTerrain | None, obstacles: Sequence[Obstacle]) -> SceneRobot:
+    """The robot with the description of its problem at rest, on level or other ground."""
+    about = replace(
+        described(rest(robot)), problem="drive", phase_names=("drive",), obstacles=tuple(obstacles)
+    )
+    return SceneRobot(
+        model=robot.limited_model(),
+        description=about if ground is None else replace(about, terrain=ground),
+        actuated_rows=robot.actuated_rows,
+        actuation=robot.actuation,
+    )
 
 
 def _torque_at_rest(robot: Robot, feet: Sequence[Contact]) -> np.ndarray:

@@ -27,7 +27,8 @@ SLIP = 0.01
 PULSES = 0.1
 # A base has fallen if it drops below the plan by this fraction of its mean height over the feet, or turns
 # from the planned attitude by more than this, rad.
-SUNK, TURNED = 0.5, np.pi / 3
+LARGEST_DROP = 0.5
+LARGEST_TILT = np.pi / 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -213,9 +214,9 @@ class FallTest:
         if robot.base != "fixed" and len(touched):
             q = self.scene.coordinates.from_mujoco(record.qpos[rows])[: len(touched)]
             actual, planned = base_poses(robot.model, q), base_poses(robot.model, wanted[: len(q)])
-            dropped = (planned[:, :, 3] - actual[:, :, 3]) @ upwards(robot.model) > SUNK * self.height
+            dropped = (planned[:, :, 3] - actual[:, :, 3]) @ upwards(robot.model) > LARGEST_DROP * self.height
             cosine = np.einsum("nij,nij->n", planned[:, :, :3], actual[:, :, :3])
-            turned = np.arccos(np.clip((cosine - 1) / 2, -1, 1)) > TURNED
+            turned = np.arccos(np.clip((cosine - 1) / 2, -1, 1)) > LARGEST_TILT
             for flags, why in (
                 (touched, "a link touches the ground"),
                 (dropped & (self.height > 0), "the base has dropped"),

@@ -39,11 +39,10 @@ STIFFER = 4.0
 
 @dataclass(frozen=True, kw_only=True)
 class Gains:
-    """Feedback gains of the actuated rows in n periods, (n, nu); ``rate``: 1/s, of unloaded joints."""
+    """Stiffness and damping (n, nu) of the actuated rows in n periods."""
 
     kp: np.ndarray
     kd: np.ndarray
-    rate: float
 
 
 class JointFeedback:
@@ -86,7 +85,7 @@ def gains_of(scene: Scene, reference: ReferenceTrajectory, settings: SimulationS
     fastest = np.abs(np.linalg.eigvals(response)).max(axis=1, initial=0.0)
     weaker = np.minimum(1.0, FASTEST / np.maximum(fastest, FASTEST))[:, None]
     spread = np.arange(len(reference.t)) // EVERY
-    return Gains(kp=settings.kp * (weaker * kp)[spread], kd=settings.kd * (weaker * kd)[spread], rate=rate)
+    return Gains(kp=settings.kp * (weaker * kp)[spread], kd=settings.kd * (weaker * kd)[spread])
 
 
 def _inertias(scene: Scene, reference: ReferenceTrajectory, picked: np.ndarray) -> np.ndarray:

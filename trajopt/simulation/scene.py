@@ -58,7 +58,6 @@ class Scene:
         compiled: the compiled model.
         coordinates: map of the coordinates.
         place: sizes of contacts and ground.
-        ground: geoms of the ground.
         sites: ids (nc,) of the contact frames' sites.
         contact_of: for each geom, the contact to which it belongs, or -1.
         links: whether each geom belongs to a link.
@@ -74,7 +73,6 @@ class Scene:
     compiled: Any
     coordinates: CoordinateMap
     place: Surroundings
-    ground: GroundGeometry
     sites: np.ndarray
     contact_of: np.ndarray
     links: np.ndarray
@@ -126,7 +124,6 @@ def build_scene(site: Site, settings: SimulationSettings) -> Scene:
         compiled=compiled,
         coordinates=coordinates,
         place=place,
-        ground=ground,
         sites=np.array([compiled.site(f"contact{i}").id for i in range(len(feet))], dtype=int),
         contact_of=np.array([named.get(name, -1) for name in geoms], dtype=int),
         links=np.isin(geoms, links),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -15,10 +14,9 @@ from typing_extensions import override
 from trajopt.collision import Obstacle
 from trajopt.errors import InputError, not_among, shown
 from trajopt.mpc.arm import ArmController, ArmSettings
-from trajopt.mpc.arm_drive import AXES, DELAY, EDGE, PERIOD, ToolSteering
+from trajopt.mpc.arm_drive import AXES, DELAY, PERIOD, ToolSteering
 from trajopt.mpc.commands import STAND, Command
 from trajopt.mpc.controller import Controller
-from trajopt.mpc.follow import Follower
 from trajopt.mpc.lockstep import Steering
 from trajopt.mpc.plans import Plans
 from trajopt.mpc.receding import ControllerSettings
@@ -39,6 +37,8 @@ MOST_PUSH, USUAL_PUSH = 0.5, 0.1
 # Names of the sliders of a push.
 PUSH, DIRECTION = "push", "direction"
 GAIT, SPEEDS = "gait", ("speed", "lateral", "turn_rate")
+# A browser rounds the ends of a slider: values this far beyond them are clipped.
+EDGE = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,15 +55,17 @@ class Slider:
 
 
 class PageController(ABC):
-    """A robot steered from a page; the simulation uses it as its torque controller.
+    """A robot that is steered from a page.
 
     Attributes:
+        steering: the controller that follows what is set.
         obstacles: avoided by the robot.
         sliders, gaits: what the page can set.
         values, gait: what is set now.
     """
 
     robot: Robot
+    steering: Steering | ToolSteering
     obstacles: tuple[Obstacle, ...] = ()
 
     def __init__(self, sliders: Sequence[Slider], gaits: Sequence[str]) -> None:
@@ -101,14 +103,10 @@ class PageController(ABC):
     def begin(self) -> None:
         """Restart with a fresh controller."""
 
-    @abstractmethod
-    def torque(self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray) -> np.ndarray:
-        """Torques (nu,) at time ``t``, s; see `TorqueController`."""
-
     @property
-    @abstractmethod
     def plans(self) -> Plans:
         """The current plan, and figures of all plans."""
+        return self.steering.controller.plans
 
     def height(self, time: float) -> float:
         """Commanded height of the base over that of the reference posture, m."""
@@ -187,20 +185,11 @@ class LegsDriver(PageController):
     def begin(self) -> None:
         self.close()
         self.log: list[tuple[float, Command]] = []
-        self.steering = Steering(_as_new(self._made), self._noted)
-
-    @override
-    def torque(self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray) -> np.ndarray:
-        return self.steering.torque(t, q, v, touching)
+        self.steering = Steering(self._made.fresh(), self._noted)
 
     @override
     def height(self, time: float) -> float:
         return self.command.height
-
-    @property
-    @override
-    def plans(self) -> Plans:
-        return self.steering.controller.plans
 
 
 class ArmDriver(PageController):
@@ -228,15 +217,13 @@ class ArmDriver(PageController):
         self.robot, self.obstacles = robot, tuple(obstacles)
         chosen = settings or ArmSettings(period=PERIOD, delay=DELAY)
         self._made = ArmController(robot, tool, self.obstacles, chosen)
-        self.steering = ToolSteering(self._made)
-        box, keys = (
-            (self.steering.low, self.steering.place, self.steering.high),
-            (("w", "s"), ("a", "d"), ("e", "q")),
-        )
+        self.steering = ToolSteering(self._made, self._goal)
+        steering, keys = self.steering, (("w", "s"), ("a", "d"), ("e", "q"))
+        ends = zip(AXES, *np.array([steering.low, steering.place, steering.high]).tolist(), keys, strict=True)
         super().__init__(
             [
                 Slider(name=axis, label=axis, unit="m", low=low, high=high, value=at, keys=pair)
-                for axis, low, at, high, pair in zip(AXES, *(end.tolist() for end in box), keys, strict=True)
+                for axis, low, at, high, pair in ends
             ],
             (),
         )
@@ -245,19 +232,10 @@ class ArmDriver(PageController):
     @override
     def begin(self) -> None:
         self.close()
-        controller = copy.copy(self._made)
-        controller.plans = _plans_of(self._made.settings)
-        self.steering = ToolSteering(controller)
+        self.steering = ToolSteering(self._made.fresh(), self._goal)
 
-    @override
-    def torque(self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray) -> np.ndarray:
-        self.steering.send(self.values)
-        return self.steering.torque(t, q, v, touching)
-
-    @property
-    @override
-    def plans(self) -> Plans:
-        return self.steering.controller.plans
+    def _goal(self, time: float) -> np.ndarray:
+        return np.array([self.values[axis] for axis in AXES])
 
     @property
     @override
@@ -268,20 +246,6 @@ class ArmDriver(PageController):
     def tool(self) -> str:
         """Name of the frame that follows the target."""
         return self._made.tool
-
-
-def _as_new(made: Controller) -> Controller:
-    """A fresh copy of ``made``, which is itself never run; the copies share its horizons."""
-    new = copy.copy(made)
-    new.clock, new.ground, new.planner = made.clock.copy(), made.ground.copy(), copy.copy(made.planner)
-    new.follower = Follower(made.robot, made.settings.gains, friction=made.settings.friction)
-    new.plans = _plans_of(made.settings)
-    new.planner.report = new.plans.report
-    return new
-
-
-def _plans_of(settings: ControllerSettings | ArmSettings) -> Plans:
-    return Plans(settings.period, settings.delay, live=settings.live)
 
 
 def _even(name: str, label: str, unit: str, most: float, keys: tuple[str, str] = ("", "")) -> Slider:

@@ -44,7 +44,7 @@ def driver_of(
         return ArmDriver(robot, settings=chosen, obstacles=obstacles)
     if robot.base == "fixed":
         raise InputError(
-            f"robot '{robot.name}' has a fixed base", "allowed: with --target, an arm's tool follows"
+            f"robot '{robot.name}' has a fixed base", "allowed: with a target, which an arm's tool follows"
         )
     return LegsDriver(robot, gaits, settings if isinstance(settings, ControllerSettings) else None)
 

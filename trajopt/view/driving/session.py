@@ -116,7 +116,7 @@ class DriveSession:
         """Put the robot back into its stand, with a fresh controller."""
         self.driver.stand()
         self.driver.begin()
-        self.driven.begin(self.driver, self.driver.height)
+        self.driven.begin(self.driver.steering, self.driver.height)
         self._marks: deque[tuple[float, float]] = deque([(self.clock.now(), 0.0)])
         self._origin = self.clock.now()
 
