@@ -35,7 +35,7 @@ SOURCE = PageSource(
 )
 
 
-def scene_of(stand: Solution, driver: PageController) -> tuple[list[ViewerCommand], dict[str, Any]]:
+def scene_of(stand: Solution, driver: PageController[Any]) -> tuple[list[ViewerCommand], dict[str, Any]]:
     """Commands that draw robot and ground, and the page's facts: sliders, gaits, joints, sizes in m."""
     commands, facts = still_scene(stand)
     model, moves = stand.model, driver.robot.base != "fixed"

@@ -6,7 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from typing_extensions import override
@@ -39,6 +39,7 @@ PUSH, DIRECTION = "push", "direction"
 GAIT, SPEEDS = "gait", ("speed", "lateral", "turn_rate")
 # A browser rounds the ends of a slider: values this far beyond them are clipped.
 EDGE = 1e-9
+AnySteering = TypeVar("AnySteering", bound=Steering | ToolSteering)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +55,7 @@ class Slider:
     keys: tuple[str, str] = ("", "")
 
 
-class PageController(ABC):
+class PageController(ABC, Generic[AnySteering]):
     """A robot that is steered from a page.
 
     Attributes:
@@ -65,7 +66,7 @@ class PageController(ABC):
     """
 
     robot: Robot
-    steering: Steering | ToolSteering
+    steering: AnySteering
     obstacles: tuple[Obstacle, ...] = ()
 
     def __init__(self, sliders: Sequence[Slider], gaits: Sequence[str]) -> None:
@@ -122,7 +123,7 @@ class PageController(ABC):
         self.plans.close()
 
 
-class LegsDriver(PageController):
+class LegsDriver(PageController[Steering]):
     """A legged robot that follows a commanded gait, speeds and height.
 
     Args:
@@ -192,7 +193,7 @@ class LegsDriver(PageController):
         return self.command.height
 
 
-class ArmDriver(PageController):
+class ArmDriver(PageController[ToolSteering]):
     """An arm whose tool follows a target, which moves at a bounded speed to where the page sets it.
 
     Args:

@@ -33,7 +33,7 @@ def driver_of(
     gaits: Sequence[str] | None = None,
     settings: ControllerSettings | ArmSettings | None = None,
     obstacles: Sequence[Obstacle] = (),
-) -> PageController:
+) -> PageController[Any]:
     """Return the driver of a robot: a `LegsDriver`, or with ``target`` an `ArmDriver`.
 
     Raises:

@@ -77,7 +77,7 @@ class DriveSession:
 
     def __init__(
         self,
-        driver: PageController,
+        driver: PageController[Any],
         *,
         clock: Clock | None = None,
         keep: float = KEPT,
