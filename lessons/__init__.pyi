@@ -1,3 +1,9 @@
+from .contact_projection import ContactTorques as ContactTorques
+from .contact_projection import consistent_projector as consistent_projector
+from .contact_projection import least_norm_inverse_dynamics as least_norm_inverse_dynamics
+from .contact_projection import null_space_projector as null_space_projector
+from .contact_projection import projected_forward_dynamics as projected_forward_dynamics
+from .contact_projection import projected_inverse_dynamics as projected_inverse_dynamics
 from .lagrange import coriolis_matrix as coriolis_matrix
 from .lagrange import equations_of_motion as equations_of_motion
 from .lagrange import gravity_forces as gravity_forces

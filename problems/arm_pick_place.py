@@ -9,7 +9,7 @@ import pinocchio as pin
 
 from trajopt.dynamics import contact_jacobian, gravity_of
 from trajopt.errors import InputError
-from trajopt.problem import Family, Problem
+from trajopt.problem import Family, PosturePath, Problem
 from trajopt.robot import Contact, Payload, Robot
 from trajopt.schedule import END, Moment, Phase, Schedule, start_of
 from trajopt.terms import AccelerationCost, FramePose, FrameVelocity, Term, TerminalRest, TimeCost, TorqueCost
@@ -104,7 +104,7 @@ def build(
         "arm-pick-place",
         arm.robot,
         common.freed(schedule, FREE) if goal == "time" else schedule,
-        common.PosturePath(model=arm.robot.model, postures=postures, durations=durations),
+        PosturePath(model=arm.robot.model, postures=postures, durations=durations),
         costs=(cost, AccelerationCost(weight=SMOOTH[goal])),
         torques=arms.torque_limits(arm.robot),
         cones=(),

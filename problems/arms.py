@@ -10,8 +10,8 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.errors import InputError
-from trajopt.problem import Parameter, Problem
-from trajopt.robot import Posture, Robot, frame_pose, inverse_kinematics, require_moving
+from trajopt.problem import Parameter, PosturePath, Problem
+from trajopt.robot import Posture, Robot, Units, frame_pose, inverse_kinematics, require_moving
 from trajopt.schedule import Motion, Phase, Schedule
 from trajopt.terms import DriveLimits, FramePose, Term, TerminalRest, TorqueLimits
 from trajopt_library import robots
@@ -157,7 +157,7 @@ def least_duration(robot: Robot, postures: Sequence[np.ndarray], *, weight: bool
     by_rate = PEAK_RATE * travel / robot.velocity_limit
     if robot.torque_limit is None:
         if np.isinf(robot.velocity_limit).all():  # accelerate by one natural unit
-            return float(np.sqrt(PEAK_ACCELERATION * travel.max()) * common.natural_time(robot))
+            return float(np.sqrt(PEAK_ACCELERATION * travel.max()) * Units(robot).time)
         return float(by_rate.max())
     held = np.abs([pin.computeGeneralizedGravity(model, data, q) for q in postures]).max(axis=0)
     # If the motors cannot hold a posture, the problem is infeasible for any guess.
@@ -201,7 +201,7 @@ def between(
 
     bounds: of a free duration, s. guess: default straight from one posture to the other.
     """
-    straight = common.PosturePath(model=robot.model, postures=ends, durations=(duration,))
+    straight = PosturePath(model=robot.model, postures=ends, durations=(duration,))
     return common.problem(
         name,
         robot,

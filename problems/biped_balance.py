@@ -11,7 +11,7 @@ import pinocchio as pin
 from trajopt.dynamics import contact_jacobian, gravity_of
 from trajopt.guesses import legged_guess
 from trajopt.problem import Family, Problem
-from trajopt.robot import Robot, biped_legs
+from trajopt.robot import Robot, Units, biped_legs
 from trajopt.schedule import Phase, Schedule
 from trajopt.terrain import FlatGround
 
@@ -55,7 +55,7 @@ def _capture(robot: Robot, velocity: np.ndarray) -> np.ndarray:
 
 
 def _schedule(robot: Robot, recover: str, way: np.ndarray) -> Schedule:
-    unit = common.natural_time(robot)
+    unit = Units(robot).time
     if recover == "stand":
         return Schedule((Phase(name="stand", duration=STAND * unit, contacts=biped_legs(robot)),))
     return bipeds.two_steps(robot, way, {name: part * unit for name, part in STEPS.items()})

@@ -12,8 +12,9 @@ from typing import Any
 
 from trajopt.dynamics import gravity_of
 from trajopt.problem import Family, Problem
+from trajopt.robot import Units
 
-from . import bipeds, common, quadruped_jump
+from . import bipeds, quadruped_jump
 from .gait_common import near
 
 # Limit on the default jump forward: in flight, feet move from rest to rest with at most this acceleration
@@ -27,7 +28,7 @@ INTERVALS = 64
 
 def _upright(build: Callable[..., Problem], *, goal: str, **values: Any) -> Problem:
     if values["stance"] is None:
-        values["stance"] = STANCE * common.natural_time(bipeds.biped(values["robot"]))
+        values["stance"] = STANCE * Units(bipeds.biped(values["robot"])).time
     problem = build(goal=goal, **values)
     if goal != "effort":
         return problem

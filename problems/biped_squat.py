@@ -2,6 +2,7 @@
 
 from trajopt.guesses import legged_guess
 from trajopt.problem import Family, Problem
+from trajopt.robot import Units
 from trajopt.schedule import Phase, Schedule, middle_of
 from trajopt.terms import FrameHeight
 
@@ -17,7 +18,7 @@ def build(*, robot: str, depth: float | None, duration: float | None, **limits: 
     body = bipeds.biped(robot)
     if depth is None:
         depth = min(DEPTH * body.length, pushing.OF_REACHABLE * pushing.sink_left(body))
-    duration = DURATION * common.natural_time(body) if duration is None else duration
+    duration = DURATION * Units(body).time if duration is None else duration
     feet = tuple(contact.name for contact in body.contacts)
     schedule = Schedule((Phase(name="squat", duration=duration, contacts=feet),))
     down = (0.0, 0.0, -depth)

@@ -5,7 +5,7 @@ import numpy as np
 from trajopt.errors import InputError
 from trajopt.guesses import BaseWaypoint, legged_guess
 from trajopt.problem import Family, Problem
-from trajopt.robot import Robot, biped_legs, contact_positions
+from trajopt.robot import Robot, Units, biped_legs, contact_positions
 from trajopt.terrain import PiecewiseTerrain, swing_path
 
 from . import bipeds, common
@@ -39,7 +39,7 @@ def _path(robot: Robot, times: np.ndarray, forward: float, height: float) -> lis
 def build(*, robot: str, friction: float, torque_share: float, **given: float | None) -> Problem:
     """Build the step; see ``FAMILY`` for the parameters. Raises InputError."""
     body = bipeds.biped(robot)
-    unit, sole = common.natural_time(body), 2 * max(contact.half_length for contact in body.contacts)
+    unit, sole = Units(body).time, 2 * max(contact.half_length for contact in body.contacts)
     defaults = {
         "height": HEIGHT * body.length,
         "forward": max(FORWARD * body.length, SOLES * sole),

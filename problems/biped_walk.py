@@ -7,12 +7,8 @@ pendulum's zero-moment point cannot move while one point foot stands.
 import math
 from dataclasses import replace
 
-import pinocchio as pin
-
-from trajopt import reduced
-from trajopt.dynamics import gravity_of
 from trajopt.problem import Family, Parameter, Problem
-from trajopt.reduced import FootstepPlan, Pendulum, Walk
+from trajopt.reduced import Walk
 from trajopt.robot import Robot, require_soles, with_edges
 from trajopt.schedule import Motion, Schedule, footholds_at, placed_on, rolled
 from trajopt.terms import Term, TerminalRest, swing_arcs
@@ -20,8 +16,6 @@ from trajopt.terrain import FlatGround
 
 from . import bipeds, common
 
-# Fraction of the soles kept as a margin for the pendulum's ZMP: the robot is not a pendulum.
-MARGIN = 0.5
 # Swing height of the guess over the required one.
 GUESS_SWING = 1.5
 # Length in m of Talos, for which the defaults are given. Other robots walk at the same Froude number: lengths
@@ -33,25 +27,6 @@ TIMES = {"step_time": 0.6, "double_support": 0.15, "shift": 0.5, "settle": 0.6}
 INTERVALS_PER_SECOND = 10
 # Range of the duration of each part of the walk, s.
 DURATIONS = (0.05, 5.0)
-
-
-def talos_legs() -> Robot:
-    """Talos on its two soles, everything above the legs locked: 12 joints, the mass of the whole robot."""
-    return bipeds.biped("talos")
-
-
-def _guess(robot: Robot, plan: FootstepPlan, clearance: float) -> Motion:
-    com = pin.centerOfMass(robot.model, robot.model.createData(), robot.reference)
-    program = reduced.CenterOfMassProgram(
-        robot=robot,
-        plan=plan,
-        pendulum=Pendulum(height=com[2], gravity=gravity_of(robot.model)),
-        com_start=com[:2],
-        shrink=MARGIN,
-    )
-    from trajopt.guesses import guess_from_lip  # slow; not needed to list problems
-
-    return guess_from_lip(robot, plan, program.solve(), clearance=GUESS_SWING * clearance)
 
 
 def _rolling(
@@ -102,7 +77,9 @@ def build(
         settle_time=values["settle"],
     )
     plan = walk.plan(body)
-    guess = _guess(body, plan, values["clearance"])
+    from trajopt.guesses import guess_from_lip  # slow; not needed to list problems
+
+    guess = guess_from_lip(body, plan, clearance=GUESS_SWING * values["clearance"])
     intervals = common.intervals(INTERVALS_PER_SECOND * plan.duration / math.sqrt(scale))
     schedule, lift = plan.schedule(body), values["clearance"]
     arcs: tuple[Term, ...] = ()

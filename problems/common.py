@@ -2,14 +2,13 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from trajopt.dynamics import gravity_of
 from trajopt.errors import InputError
 from trajopt.guesses import hermite as hermite
 from trajopt.problem import Choice, Parameter, Problem
@@ -27,7 +26,7 @@ from trajopt.terms import (
     effort_costs,
     swing_clearance,
 )
-from trajopt.terrain import FlatGround, Terrain, smooth_step
+from trajopt.terrain import FlatGround, Terrain
 from trajopt_library import robots
 
 # Least height of a foot above the ground in mid-flight, m.
@@ -116,27 +115,6 @@ def whole(name: str, value: float) -> int:
     return round(value)
 
 
-@dataclass(frozen=True, kw_only=True)
-class PosturePath:
-    """Guess: from posture to posture (nq,), at rest at each, along 10 s^3 - 15 s^4 + 6 s^5; then still.
-
-    durations: from each posture to the next, s.
-    """
-
-    model: pin.Model
-    postures: Sequence[np.ndarray]
-    durations: Sequence[float]
-
-    def __call__(self, t: float) -> np.ndarray:
-        """The posture (nq,) at ``t`` s."""
-        ends = np.cumsum(self.durations)
-        index = min(int(np.searchsorted(ends, t, side="right")), len(ends) - 1)
-        begin = ends[index - 1] if index else 0.0
-        part = smooth_step((t - begin) / (ends[index] - begin))
-        before, after = self.postures[index : index + 2]
-        return np.asarray(pin.interpolate(self.model, before, after, part))
-
-
 def quadruped(name: str | Robot) -> Robot:
     """The robot of that name. Raises InputError if it does not stand on four feet."""
     robot = robots.load(name)
@@ -147,11 +125,6 @@ def quadruped(name: str | Robot) -> Robot:
 def foot_radius(robot: Robot) -> float:
     """Largest radius of the robot's contacts, m."""
     return max((contact.radius for contact in robot.contacts), default=0.0)
-
-
-def natural_time(robot: Robot) -> float:
-    """sqrt(l / g) in s, by which times of legged motions are scaled."""
-    return math.sqrt(robot.length / gravity_of(robot.model))
 
 
 def displaced(

@@ -1,24 +1,21 @@
 """Humanoids on feet and hands: they push off a wall, lean on a table to reach beyond it, climb with rails."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
 
 from trajopt.collision import BoxObstacle
 from trajopt.errors import InputError
-from trajopt.pickling import picklable
-from trajopt.problem import Family, Problem
-from trajopt.robot import Posture, Robot, biped_legs, contact_poses, contact_targets, inverse_kinematics
+from trajopt.problem import Family, Problem, posture_guess, stepped_posture
+from trajopt.robot import Posture, Robot, Units, biped_legs, contact_poses
 from trajopt.schedule import Phase, Schedule
 from trajopt.terms import Clearance, FramePose, TerminalRest, swing_clearance
-from trajopt.terrain import FlatGround, PiecewiseTerrain, Surface, Terrain, smooth_step, swing_path
+from trajopt.terrain import PiecewiseTerrain, Surface, swing_path
 
 from . import bipeds, common, pushing
 
-# Steps of inverse kinematics from one posture to another, so that joints stay on their branch.
-STEPS = 12
 REACH_ERROR = 1e-3
 UP = np.array([0.0, 0.0, 1.0])
 # A leaning robot's base is raised by this fraction of its height: straighter knees leave room for the ankles.
@@ -40,52 +37,6 @@ CLEARANCE = 0.05
 INTERVALS, OF_PHASE = 30, 20
 
 Poses = Mapping[str, pin.SE3]
-
-
-@picklable
-@dataclass(frozen=True, kw_only=True, eq=False)
-class KeyPostures:
-    """Guess: from posture (nq,) to posture, one at each end of a phase; contacts hold, feet swing."""
-
-    robot: Robot
-    schedule: Schedule
-    postures: Sequence[np.ndarray]
-    terrain: Terrain | None = None
-
-    def __call__(self, t: float) -> np.ndarray:
-        """The posture (nq,) at ``t`` s."""
-        ends = np.cumsum([phase.duration for phase in self.schedule.phases])
-        index = min(int(np.searchsorted(ends, t, side="right")), len(ends) - 1)
-        phase, (before, after) = self.schedule.phases[index], self.postures[index : index + 2]
-        s = float((t - ends[index]) / phase.duration) + 1
-        begin, end = (contact_poses(self.robot, posture) for posture in (before, after))
-        places = {name: end[name] for name in phase.contacts}
-        for foot in set(biped_legs(self.robot)) - set(phase.contacts):
-            reach = self.robot.contact(foot).half_length
-            swing = swing_path(self.terrain or FlatGround(), lift(self.robot), reach=reach)
-            position = swing(foot, begin[foot].translation, end[foot].translation, s)
-            places[foot] = pin.SE3(end[foot].rotation, position)
-        q = np.asarray(pin.interpolate(self.robot.model, before, after, smooth_step(s)))
-        return inverse_kinematics(self.robot, q, contact_targets(self.robot, places)).q
-
-
-def lift(robot: Robot) -> float:
-    """Clearance of swinging feet, m."""
-    return CLEARANCE * float(robot.reference[2])
-
-
-def reached(robot: Robot, q: np.ndarray, base: pin.SE3, places: Poses, *, move: bool = False) -> Posture:
-    """Posture with the base at a pose and contacts at ``places`` by name, in small steps from ``q`` (nq,).
-
-    move: whether the base may move in the last step.
-    """
-    first, begin, found = pin.XYZQUATToSE3(q[:7]), contact_poses(robot, q), Posture(q=q, error=np.inf)
-    for step in range(1, STEPS + 1):
-        part = step / STEPS
-        at = {name: pin.SE3.Interpolate(begin[name], place, part) for name, place in places.items()}
-        q = np.append(pin.SE3ToXYZQUAT(pin.SE3.Interpolate(first, base, part)), found.q[7:])
-        found = inverse_kinematics(robot, q, contact_targets(robot, at), move_base=move and step == STEPS)
-    return found
 
 
 def at(position: np.ndarray) -> pin.SE3:
@@ -125,7 +76,7 @@ def leaning(robot: Robot, lean: float) -> np.ndarray:
 
     def turned(angle: float) -> Posture:
         turn = at(middle) * pin.SE3(pin.utils.rotate("y", angle), np.zeros(3)) * at(-middle)
-        return reached(robot, robot.reference, turn * base, soles(robot))
+        return stepped_posture(robot, robot.reference, turn * base, soles(robot))
 
     posture = turned(lean)
     if posture.error > pushing.REACHED:
@@ -141,7 +92,7 @@ def build_push_off(
 ) -> Problem:
     """Build the push; see ``FAMILIES`` for the parameters. Raises InputError."""
     body, share = bipeds.humanoid(robot), given.pop("torque_share")
-    unit, feet, middle, tilted = common.natural_time(body), soles(body), middle_of(body), leaning(body, lean)
+    unit, feet, middle, tilted = Units(body).time, soles(body), middle_of(body), leaning(body, lean)
     chosen = dict(zip(("left", "right"), bipeds.hands(body), strict=True))
     used = tuple(chosen.values()) if hands == "both" else (chosen[hands],)
     arms, radius = shoulders(body, tilted), body.contact(used[0]).radius
@@ -149,7 +100,7 @@ def build_push_off(
     def touching(distance: float) -> Posture:
         x = middle[0] + distance - radius
         places = {name: at([x, *arms[name][1:]]) for name in used}
-        return reached(body, tilted, pin.XYZQUATToSE3(tilted[:7]), {**feet, **places})
+        return stepped_posture(body, tilted, pin.XYZQUATToSE3(tilted[:7]), {**feet, **places})
 
     near = float(arms[used[0]][0] - middle[0]) + radius
     way = pushing.largest(
@@ -176,7 +127,7 @@ def build_push_off(
         "humanoid-push-off",
         body,
         schedule,
-        KeyPostures(robot=body, schedule=schedule, postures=(start.q, start.q, body.reference)),
+        posture_guess(body, schedule, (start.q, start.q, body.reference)),
         torque_share=share,
         friction=friction,
         end=body.reference,
@@ -191,7 +142,7 @@ def build_lean(
 ) -> Problem:
     """Build the reach; see ``FAMILIES`` for the parameters. Raises InputError."""
     body, share = bipeds.humanoid(robot), given.pop("torque_share")
-    unit, feet, middle, tilted = common.natural_time(body), soles(body), middle_of(body), leaning(body, lean)
+    unit, feet, middle, tilted = Units(body).time, soles(body), middle_of(body), leaning(body, lean)
     up, arms, (left, right) = float(body.reference[2]), shoulders(body, tilted), bipeds.hands(body)
     far = float(arms[left][0] - middle[0])
     defaults = {
@@ -207,8 +158,8 @@ def build_lean(
     goal = np.array([middle[0] + values["reach"], arms[right][1], values["goal_height"]])
     touch = {**feet, left: at(place + body.contact(left).radius * UP)}
     bases = [pin.XYZQUATToSE3(q[:7]) for q in (body.reference, tilted)]
-    touched = reached(body, body.reference, bases[0], touch, move=True)
-    end = reached(body, tilted, bases[1], {**touch, right: at(goal)}, move=True)
+    touched = stepped_posture(body, body.reference, bases[0], touch, move_base=True)
+    end = stepped_posture(body, tilted, bases[1], {**touch, right: at(goal)}, move_base=True)
     for posture, what in ((touched, "the table"), (end, "the goal beyond the table")):
         if posture.error > pushing.REACHED:
             raise InputError(
@@ -230,7 +181,7 @@ def build_lean(
         "humanoid-lean",
         body,
         schedule,
-        KeyPostures(robot=body, schedule=schedule, postures=(body.reference, touched.q, end.q)),
+        posture_guess(body, schedule, (body.reference, touched.q, end.q)),
         torque_share=share,
         friction=friction,
         more=(Clearance(obstacles=(solid,)),),
@@ -248,7 +199,7 @@ def build_climb(*, robot: str, steps: float, friction: float, **given: float | N
         "rise": RISE * up,
         "run": max(RUN * up, SOLES * sole),
         "rail": RAIL * up,
-        "move": MOVE * common.natural_time(body),
+        "move": MOVE * Units(body).time,
     }
     values = common.filled(defaults, given)
     rise, run, rail, move = values.values()
@@ -271,7 +222,7 @@ def build_climb(*, robot: str, steps: float, friction: float, **given: float | N
             Phase(name=name, duration=time, contacts=tuple(on), surfaces=surfaces, footholds=touched)
         )
         pose, wanted = at(shift) * base, {**{each: places[each] for each in on}, **then}
-        found = reached(body, postures[-1], pose, wanted, move=True)
+        found = stepped_posture(body, postures[-1], pose, wanted, move_base=True)
         if found.error > pushing.REACHED:
             raise InputError(
                 f"'{body.name}' misses places of contacts in phase '{name}' by {found.error:.3g} m",
@@ -302,7 +253,8 @@ def build_climb(*, robot: str, steps: float, friction: float, **given: float | N
     moved("hold", (*feet, *hands), count * way, {}, move / 2)
     moved("rest", feet, count * way, {})
     schedule, end = Schedule(tuple(phases)), common.displaced(body, count * way)
-    guess = KeyPostures(robot=body, schedule=schedule, postures=(*postures[:-1], end), terrain=terrain)
+    swing = swing_path(terrain, CLEARANCE * up, reach=sole / 2)
+    guess = posture_guess(body, schedule, (*postures[:-1], end), swinging=feet, swing=swing)
     legs = replace(body, contacts=tuple(body.contact(name) for name in feet))  # without the swinging hands
     return common.problem(
         "humanoid-climb",
@@ -311,7 +263,7 @@ def build_climb(*, robot: str, steps: float, friction: float, **given: float | N
         guess,
         torque_share=share,
         terrain=terrain,
-        more=swing_clearance(legs, schedule, terrain, height=lift(body), guess=guess),
+        more=swing_clearance(legs, schedule, terrain, height=CLEARANCE * up, guess=guess),
         end=end,
         parameters=values,
         default_intervals=OF_PHASE * len(phases),

@@ -9,7 +9,7 @@ import numpy as np
 from trajopt.collision import robot_shapes
 from trajopt.errors import InputError
 from trajopt.problem import Family, Problem
-from trajopt.robot import Robot, contact_positions
+from trajopt.robot import Robot, Units, contact_positions
 from trajopt.terrain import FlatGround, PiecewiseTerrain
 
 from . import common, leaping, pushing
@@ -104,7 +104,7 @@ def build(
 ) -> Problem:
     """Build the leap; see ``FAMILIES`` for the parameters. Raises InputError."""
     body = common.quadruped(robot)
-    takeoff, unit = pushing.takeoff(body, torque_limit), common.natural_time(body)
+    takeoff, unit = pushing.takeoff(body, torque_limit), Units(body).time
     highest = pushing.apex(takeoff, SHARE, HEIGHT * body.length)
     size, default = "height", min(OF_RISE * highest, MOST_BOX * body.length)
     if kind == "gap":

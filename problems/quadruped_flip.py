@@ -15,7 +15,7 @@ import pinocchio as pin
 from trajopt.dynamics import gravity_of
 from trajopt.guesses import BaseWaypoint, legged_guess
 from trajopt.problem import Family, Problem
-from trajopt.robot import Robot, contact_positions, quadruped_legs
+from trajopt.robot import Robot, Units, contact_positions, quadruped_legs
 from trajopt.schedule import Moment, Schedule, footholds_at, middle_of
 from trajopt.terms import FrameDirection, Term
 
@@ -132,7 +132,7 @@ def build(
 ) -> Problem:
     """Build the flip; see ``FAMILIES`` for the parameters. Raises InputError."""
     body = common.quadruped(robot)
-    unit = common.natural_time(body)
+    unit = Units(body).time
     defaults = {name: part * unit for name, part in DURATIONS.items()}
     fastest = SPEED_PART * pushing.takeoff(body, torque_limit).speed
     defaults["flight"] = min(defaults["flight"], 2 * fastest / gravity_of(body.model))

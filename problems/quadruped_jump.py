@@ -6,7 +6,7 @@ from functools import partial
 from typing import Literal
 
 from trajopt.problem import Family, Problem
-from trajopt.robot import Robot
+from trajopt.robot import Robot, Units
 from trajopt.schedule import middle_of
 from trajopt.terms import FrameHeight
 from trajopt.terrain import FlatGround
@@ -37,7 +37,7 @@ def _defaults(takeoff: pushing.Takeoff, direction: Direction, height: float | No
     flight = pushing.flight_time(takeoff, rise)
     forward, left = (SHARE_ACROSS * speed * flight for speed in takeoff.across)
     turn = SHARE_ACROSS * takeoff.turn * flight
-    unit = common.natural_time(takeoff.robot)
+    unit = Units(takeoff.robot).time
     return {
         "distance": min(FORWARD * length, forward) if direction == "forward" else 0.0,
         "sideways": min(SIDEWAYS * length, left) if direction == "sideways" else 0.0,

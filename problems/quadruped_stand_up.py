@@ -5,7 +5,7 @@ import numpy as np
 from trajopt.errors import InputError
 from trajopt.guesses import BaseWaypoint, legged_guess
 from trajopt.problem import Family, Problem
-from trajopt.robot import Robot, frame_pose
+from trajopt.robot import Robot, Units, frame_pose
 from trajopt.schedule import Phase, Schedule
 from trajopt.terms import TimeCost
 
@@ -60,7 +60,7 @@ def build(
     """Build the motion; see ``FAMILY`` for the parameters. Raises InputError."""
     body = common.quadruped(robot)
     depth = deepest(body, torque_limit) if depth is None else depth
-    duration = DURATION * common.natural_time(body) if duration is None else duration
+    duration = DURATION * Units(body).time if duration is None else duration
     lying = pushing.raised(body, -depth)
     if lying.error > pushing.REACHED:
         raise InputError(

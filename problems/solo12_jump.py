@@ -1,17 +1,15 @@
 """A jump of Solo12: stance, flight, landing on the footholds of the target pose, rest."""
 
 import math
-from functools import partial
 
 import numpy as np
-import pinocchio as pin
 
 from trajopt.dynamics import STANDARD_GRAVITY
 from trajopt.errors import InputError
-from trajopt.guesses import BaseWaypoint, WaypointPath
+from trajopt.guesses import BaseWaypoint, WaypointPath, legged_guess
 from trajopt.problem import Family, Problem
-from trajopt.robot import Robot, contact_positions, inverse_kinematics
-from trajopt.schedule import Motion, Schedule, footholds_at, middle_of
+from trajopt.robot import Robot
+from trajopt.schedule import Schedule, footholds_at, middle_of
 from trajopt.terms import DriveLimits, FrameHeight, ImpulseCost, Term
 from trajopt_library import robots
 from trajopt_library.robots import solo12
@@ -41,40 +39,6 @@ def _path(robot: Robot, schedule: Schedule, distance: float, yaw: float) -> Wayp
         for time, part, done, rise in zip(times, parts, np.cumsum(parts), rises, strict=True)
     ]
     return WaypointPath(schedule, waypoints)
-
-
-def _guess(robot: Robot, schedule: Schedule, end: np.ndarray, base: WaypointPath) -> Motion:
-    """Return a guess with feet on footholds that move with the base from stance to stance in flight."""
-    stance, flight, _ = (phase.duration for phase in schedule.phases)
-    starts, ends = (contact_positions(robot, q) for q in (robot.reference, end))
-    before, after = base(stance), base(stance + flight)
-    ways = {name: (before.actInv(start), after.actInv(ends[name])) for name, start in starts.items()}
-    return partial(_posture, robot, base, (stance, flight), (starts, ends), ways)
-
-
-def _posture(
-    robot: Robot,
-    base: WaypointPath,
-    durations: tuple[float, float],
-    feet: tuple[dict[str, np.ndarray], dict[str, np.ndarray]],
-    ways: dict[str, tuple[np.ndarray, np.ndarray]],
-    t: float,
-) -> np.ndarray:
-    """Return the configuration at ``t`` s.
-
-    durations: of stance and flight, s. feet: positions before and after the flight. ways: for each foot, its
-    positions in the base's axes at both ends of the flight.
-    """
-    (stance, flight), (starts, ends) = durations, feet
-    placement, s = base(t), (t - stance) / flight
-    q = robot.reference.copy()
-    q[:7] = pin.SE3ToXYZQUAT(placement)
-    places = starts if s <= 0 else ends
-    if 0 < s < 1:
-        first, last = (np.array(end) for end in zip(*ways.values(), strict=True))
-        moved = common.hermite(s, flight, first, 0.0, last, 0.0)
-        places = {name: placement.act(foot) for name, foot in zip(ways, moved, strict=True)}
-    return inverse_kinematics(robot, q, places).q
 
 
 def _actuated(torque_limit: float | None, voltage: float | None) -> tuple[Robot, Term]:
@@ -116,7 +80,7 @@ def build(
         "solo12-jump",
         robot,
         schedule,
-        _guess(robot, schedule, end, _path(robot, schedule, distance, yaw)),
+        legged_guess(robot, schedule, _path(robot, schedule, distance, yaw), clearance=common.CLEARANCE),
         costs=(*leaping.COSTS, *soft),
         torques=torque_limits,
         friction=friction,

@@ -1,14 +1,12 @@
 """Talos puts its left hand on a wall and pushes, or grasps a handle on it and pulls, and comes to rest."""
 
-from functools import partial
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
-from trajopt.problem import Family, Problem
+from trajopt.problem import Family, Problem, posture_guess
 from trajopt.robot import Robot, frame_pose, inverse_kinematics
-from trajopt.schedule import Motion, Phase, Schedule
+from trajopt.schedule import Phase, Schedule
 from trajopt.terms import FrictionCone, NormalForce, SoleCone, TerminalRest
 from trajopt.terrain import Surface
 from trajopt_library import robots
@@ -29,22 +27,8 @@ def _leaning(robot: Robot, hand: np.ndarray, push: np.ndarray) -> np.ndarray:
     """
     leaning = robot.reference.copy()
     leaning[0] -= push[0] * hand[2] / robot.weight
-    return inverse_kinematics(robot, leaning, {**_soles(robot), HAND: hand}, move_base=True).q
-
-
-def _soles(robot: Robot) -> dict[str, pin.SE3]:
-    return {frame: frame_pose(robot, robot.reference, frame) for frame in SOLES.values()}
-
-
-def _guess(robot: Robot, end: np.ndarray, duration: float) -> Motion:
-    """Return a guess from standing to leaning in ``duration`` s, then still; legs keep the soles fixed."""
-    soles = _soles(robot)
-    leaning = common.PosturePath(model=robot.model, postures=(robot.reference, end), durations=(duration,))
-    return partial(_held, robot, leaning, soles)
-
-
-def _held(robot: Robot, motion: Motion, soles: dict[str, pin.SE3], t: float) -> np.ndarray:
-    return inverse_kinematics(robot, motion(t), soles).q
+    soles = {frame: frame_pose(robot, robot.reference, frame) for frame in SOLES.values()}
+    return inverse_kinematics(robot, leaning, {**soles, HAND: hand}, move_base=True).q
 
 
 def build(
@@ -66,17 +50,18 @@ def build(
     touching: dict[str, Any] = {"contacts": (*SIDES, "hand"), "surfaces": {"hand": wall}}
     loading = LOADING_SHARE * reach
     bounds = {"lower": force} if force >= 0 else {"upper": force}
+    schedule = Schedule(
+        (
+            Phase(name="reach", duration=reach, contacts=SIDES),
+            Phase(name="touch", duration=loading, footholds={"hand": wall.point}, **touching),
+            Phase(name="push", duration=push, **touching),
+        )
+    )
     return common.problem(
         "talos-wall",
         robot,
-        Schedule(
-            (
-                Phase(name="reach", duration=reach, contacts=SIDES),
-                Phase(name="touch", duration=loading, footholds={"hand": wall.point}, **touching),
-                Phase(name="push", duration=push, **touching),
-            )
-        ),
-        _guess(robot, end, reach),
+        schedule,
+        posture_guess(robot, schedule, (robot.reference, end, end, end)),
         cones=(
             SoleCone(),
             *([] if wall.bilateral else [FrictionCone(contacts=("hand",))]),

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from trajopt.problem import Family, Parameter, Problem
+from trajopt.problem import Family, Parameter, PosturePath, Problem
 from trajopt.robot import Contact, Robot, frame_pose, inverse_kinematics
 from trajopt.schedule import Phase, Schedule
 from trajopt.terms import AccelerationCost, NormalForce, TorqueCost, WrenchCost
@@ -66,7 +66,7 @@ def build(
                 Phase(name="pull", duration=pull, **held),
             )
         ),
-        common.PosturePath(
+        PosturePath(
             model=robot.model, postures=(robot.reference, _grasping(robot, board)), durations=(reach,)
         ),
         costs=(TorqueCost(weight=1.0), AccelerationCost(weight=1e-2), WrenchCost(weight=1e-2)),

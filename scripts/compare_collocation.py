@@ -4,7 +4,7 @@
 # ///
 """Time to accuracy beside Drake, Dymos and opty: an arm, the acrobot, a cart-pole and a pendulum, in turns.
 
-    uv run scripts/compare_collocation.py            # about eight minutes; tables on stdout
+    uv run scripts/compare_collocation.py            # about eight minutes; a table on stdout
     uv run scripts/compare_collocation.py --write    # also into docs/peers.md, docs/peers/
     uv run scripts/compare_collocation.py --only-document    # run nothing: from docs/peers/collocation.csv
 
@@ -105,13 +105,12 @@ def main() -> None:
         ours = Half("our half", f"{given.ours} -m scripts.peers.collocation_half")
         tasks = given.tasks or list(PEERS)
         found = [m for task in tasks for m in measure(task, given.repeats, ours)]
-    parts = {"collocation": report.summary, "collocation-all": report.everything}
-    tables = {marker: "\n".join(lines(found)) for marker, lines in parts.items()}
-    print("\n\n".join(tables.values()))
+    table = "\n".join(report.summary(found))
+    print(table)
     if given.write or given.only_document:
         TABLE.parent.mkdir(exist_ok=True)
         report.write_csv(found, TABLE)
-        write_sections(DOCUMENT, tables)
+        write_sections(DOCUMENT, {"collocation": table})
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """Sections of documents that scripts write, and their tables. Only the standard library is needed."""
 
+import csv
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -25,3 +26,15 @@ def table(titles: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[str]
     yield "|" + "---|" * len(titles)
     for row in rows:
         yield f"| {' | '.join(row)} |"
+
+
+def cells(lines: str) -> Iterator[list[str]]:
+    """Titles and rows of a Markdown table, without marks of code."""
+    titles, _, *rows = lines.replace("`", "").strip().splitlines()
+    return ([cell.strip() for cell in line.strip()[1:-1].split("|")] for line in (titles, *rows))
+
+
+def write_csv(path: Path, lines: str) -> None:
+    """Write a Markdown table as CSV."""
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        csv.writer(stream, lineterminator="\n").writerows(cells(lines))

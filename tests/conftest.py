@@ -29,6 +29,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.quick)
 
 
+@pytest.fixture(scope="session", autouse=True)
+def solved_motions(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Where all workers of a session keep the solutions of `tests.support.solved_problems.motion`."""
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "motions"
+    folder.mkdir(exist_ok=True)
+    os.environ["SOLVED_MOTIONS"] = str(folder)
+
+
 @pytest.fixture
 def noted(tmp_path: Path) -> Path:
     """A folder in which cases of ``t-fated`` note that they run."""

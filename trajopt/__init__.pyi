@@ -22,7 +22,7 @@ from .solving.continuation import continuation as continuation
 from .solving.graded import solve as solve
 from .solving.ladder import solve_ladder as solve_ladder
 from .study.batch.batch import batch as batch
-from .study.batch.dataset import dataset as dataset
+from .study.batch.batch import dataset as dataset
 from .terrain.flat import FlatGround as FlatGround
 from .view.replay.show import replay as replay
 

@@ -18,11 +18,14 @@ import functools
 import inspect
 import sys
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 from trajopt.errors import InputError, not_among
-from trajopt.kinds import ANY, Kind, Range, RefusedError, kind_of
+from trajopt.kinds import ANY, ArrayShape, Kind, Normalised, Range, RefusedError, kind_of
 from trajopt.pickling import picklable
+
+if TYPE_CHECKING:
+    import numpy as np  # deferred: the command line checks arguments before it needs arrays
 
 _Target = TypeVar("_Target", bound=Callable[..., Any])
 
@@ -30,9 +33,13 @@ _Target = TypeVar("_Target", bound=Callable[..., Any])
 Positive = Annotated[float, Range(0.0, above=True)]
 NonNegative = Annotated[float, Range(0.0)]
 Fraction = Annotated[float, Range(0.0, 1.0)]
+SignedFraction = Annotated[float, Range(-1.0, 1.0)]
 UnboundedPositive = Annotated[float, Range(0.0, above=True, infinite=True)]
 Count = Annotated[int, Range(0)]
 PositiveCount = Annotated[int, Range(1)]
+Array3 = Annotated["np.ndarray", ArrayShape((3,))]
+Array33 = Annotated["np.ndarray", ArrayShape((3, 3))]
+UnitVector = Annotated[tuple[float, float, float], Normalised()]
 
 
 class _Arguments:
@@ -117,12 +124,13 @@ def check_settings(function: Callable[..., Any], settings: Mapping[str, Any]) ->
 def check_fields(thing: Any) -> None:
     """Check the fields of an existing dataclass, such as a user-defined term. Raises `InputError`."""
     target: Any = type(thing)
-    for name, kind in _kinds_of_fields(target).items():
+    for name, kind in kinds_of_fields(target).items():
         kind.checked(name, target.__name__, getattr(thing, name))
 
 
 @functools.cache
-def _kinds_of_fields(target: Any) -> dict[str, Kind]:
+def kinds_of_fields(target: Any) -> dict[str, Kind]:
+    """Return the kinds of a dataclass's fields by name."""
     hints = annotations_of(target)
     return {name: kind_of(hints[name], True) for name in target.__dataclass_fields__}
 

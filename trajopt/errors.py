@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     import numpy as np
 
 # A message lists all allowed names up to the first number, otherwise the second number of them.
-MANY, LISTED = 60, 8
-SHOWN = 60  # characters of a value in a message
+MOST_NAMES, FEW_NAMES = 60, 8
+WIDTH = 60  # characters of a value in a message
 COAL_MESSAGE = "\nmessage: "
 
 
@@ -49,9 +49,9 @@ def not_among(known: Iterable[str], name: str, what: str) -> InputError:
     """
     names = list(known)
     folded = {str(each).casefold(): each for each in names}
-    close = [folded[each] for each in difflib.get_close_matches(str(name).casefold(), folded, LISTED)]
+    close = [folded[each] for each in difflib.get_close_matches(str(name).casefold(), folded, FEW_NAMES)]
     hint = f"did you mean {close[0]}? " if close else ""
-    listed = names if len(names) <= MANY else [*(close or names[:LISTED]), "..."]
+    listed = names if len(names) <= MOST_NAMES else [*(close or names[:FEW_NAMES]), "..."]
     return InputError(what, f"{hint}allowed: {', '.join(listed) or 'none'}")
 
 
@@ -79,7 +79,7 @@ class VersionMismatchError(TrajoptError):
 def shown(value: Any) -> str:
     """Return a value for a message in one shortened line; objects appear by their kind, not their repr."""
     text = " ".join(_Shown().repr(value).split())
-    return text if len(text) <= SHOWN else text[: SHOWN - 3] + "..."
+    return text if len(text) <= WIDTH else text[: WIDTH - 3] + "..."
 
 
 class _Shown(reprlib.Repr):
@@ -87,13 +87,18 @@ class _Shown(reprlib.Repr):
 
     def __init__(self) -> None:
         super().__init__()
-        self.maxlevel, self.maxlist, self.maxtuple, self.maxstring = 3, LISTED, LISTED, SHOWN
+        self.maxlevel, self.maxlist, self.maxtuple, self.maxstring = (
+            3,
+            FEW_NAMES,
+            FEW_NAMES,
+            WIDTH,
+        )
 
     def repr_instance(self, value: Any, level: int) -> str:
         if type(value) in (float, complex, bool, bytes, type(None)):
             return repr(value)
         if type(value).__module__ == "numpy" and hasattr(value, "tolist"):
-            few = 0 < value.size <= LISTED
+            few = 0 < value.size <= FEW_NAMES
             return self.repr1(value.tolist(), level) if few else f"an array of shape {value.shape}"
         if isinstance(value, Path):
             return f"'{value}'"
@@ -211,13 +216,3 @@ def finite_array(what: str, value: Any, shape: tuple[int, ...] = (3,), unit: str
         raise InputError(f"{what} is {shown(value)}", allowed)
     array.setflags(write=False)
     return array
-
-
-def unit_vector(what: str, value: Any) -> np.ndarray:
-    """Return the unit vector (3,) along ``value``; raises `InputError` if it has no direction."""
-    import numpy as np
-
-    vector = numbers_of(value)
-    if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
-        raise InputError(f"{what} is {shown(value)}", "allowed: 3 finite numbers, not all 0")
-    return np.asarray(vector / np.linalg.norm(vector))

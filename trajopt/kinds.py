@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from numbers import Integral, Real
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
-from trajopt.errors import InputError, not_among, shown, with_article
+from trajopt.errors import InputError, not_among, numbers_of, shown, with_article
 
 # How to make values of a class for which users often pass a name or a path.
 MADE_BY = {
@@ -19,6 +19,7 @@ MADE_BY = {
     "Solution": "trajopt.Solution.load({name!r})",
 }
 NAMES = "a name, or a sequence of names"
+UNIT_VECTOR = "3 finite numbers, not all 0"
 SERIES = (list, tuple, collections.abc.Sequence, collections.abc.Collection, collections.abc.Iterable)
 
 
@@ -83,6 +84,10 @@ class ArrayShape:
         return f"an array of {word} of shape ({', '.join('n' if n is None else str(n) for n in self.sizes)})"
 
 
+class Normalised:
+    """Mark of a vector of three numbers that becomes a unit vector."""
+
+
 class RefusedError(Exception):
     """A refused value or part of one: its place in the argument, the value, and what is allowed."""
 
@@ -130,7 +135,9 @@ def kind_of(hint: Any, keeps: bool) -> Kind:
     general = origin or hint
     if origin is Annotated:
         mark = parts[1]
-        return _number(parts[0], mark) if isinstance(mark, Range) else _array(mark, keeps)
+        if isinstance(mark, Range):
+            return _number(parts[0], mark)
+        return Kind(UNIT_VECTOR, _unit_vector) if isinstance(mark, Normalised) else _array(mark, keeps)
     if hint in (Any, object) or isinstance(hint, TypeVar):
         return ANY
     if hint in (None, type(None)):
@@ -310,6 +317,14 @@ def _mapping(keys: Kind, values: Kind) -> Kind:
         return value if all(parts[key] is part for key, part in value.items()) else parts
 
     return Kind(f"a mapping of {keys.text} to {values.text}", accept)
+
+
+def _unit_vector(value: Any, place: str) -> tuple[float, ...]:
+    import numpy as np
+
+    vector = numbers_of(value)
+    _require(vector.shape == (3,) and bool(np.isfinite(vector).all()) and bool(vector.any()))
+    return tuple((vector / np.linalg.norm(vector)).tolist())
 
 
 def _array(shape: ArrayShape, keeps: bool) -> Kind:

@@ -1,31 +1,21 @@
-"""Schedules that are found: against the library's own, by speed, for random goals, from random starts."""
+"""Schedules that are found: against the library's own, by speed, for random goals."""
 
 import math
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
-from scipy.stats import spearmanr
 
 import trajopt
 from scripts.measure.shared import head, named, row
-from trajopt.discovery import Destination, Discovery, discover, relaxation, task_to
-from trajopt.discovery.gait_likeness import nearest_gait
+from trajopt.discovery import Destination, Discovery, discover, task_to
 from trajopt.discovery.goal import obstacle
-from trajopt.discovery.proposals import known_proposals, relaxed_proposal
-from trajopt.discovery.records import CERTIFIED
-from trajopt.discovery.task import ContactTask
-from trajopt.discovery.trials import certified, screened, spent
+from trajopt.discovery.proposals import nearest_gait
+from trajopt.discovery.trials import spent
 from trajopt.dynamics import gravity_of
 from trajopt.errors import InputError
 from trajopt.motion.energy_use import cost_of_transport
-from trajopt.problem.problem import Problem
-from trajopt.reduced.single_rigid_body import body_problem
-from trajopt.reduced.two_stage import standing_share
-from trajopt.solving.solving import solve as solve_on_mesh
-from trajopt.terms.costs import TorqueCost, WrenchCost
 from trajopt_library import problems, robots
 
 SPEEDS = (0.2, 0.5, 0.8, 1.2)
@@ -41,22 +31,6 @@ TASKS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("quadruped-stand-up", {"robot": "go2"}),
 )
 GAIT_SPEEDS = (0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.05, 1.2)
-# Of `discovery-slacks`.
-SEQUENCES = ((0.3, 0.1, 0.03, 0.01, 0.003), (0.3, 0.03, 0.003), (0.1, 0.03, 0.01, 0.003), (0.1, 0.005))
-SLACK_TASKS: tuple[tuple[str, dict[str, Any]], ...] = (
-    ("quadruped-trot", {"robot": "go2"}),
-    ("quadruped-trot", {"robot": "solo12", "speed": 1.2}),
-    ("hopper-hop", {}),
-    ("quadruped-box-up", {"robot": "go2"}),
-    ("quadruped-gap", {"robot": "solo12"}),
-)
-SORTED_TASKS: tuple[tuple[str, dict[str, Any]], ...] = (
-    ("quadruped-trot", {"robot": "solo12", "speed": 0.29}),
-    ("quadruped-trot", {"robot": "go2", "speed": 1.4}),
-    ("quadruped-box-up", {"robot": "go2"}),
-    ("quadruped-gap", {"robot": "solo12"}),
-    ("quadruped-stand-up", {"robot": "go2"}),
-)
 # Of random goals: over the robot's length, and rad; a box of a height, or level ground.
 ROBOTS = ("go2", "solo12", "anymal_c")
 WAY, ASIDE, TURN, HEIGHT = (0.3, 2.0), 0.3, 0.5, (0.1, 0.4)
@@ -190,57 +164,6 @@ def _draw(points: list[tuple[float, float, str]], robot: str, path: Path) -> Non
     figure.savefig(path)
 
 
-@click.command("discovery-sorters")
-def sorters() -> None:
-    """What tells good schedules from bad ones before they are certified: rank correlation with their cost."""
-    head(
-        "problem",
-        "known schedules",
-        "coarse mesh",
-        "single rigid body",
-        "likeness to a relaxed motion",
-        "solver time over that of the first mesh: coarse mesh",
-        "single rigid body",
-    )
-    for name, values in SORTED_TASKS:
-        task = ContactTask.of(problems.load(name, **values))
-        relaxed = relaxed_proposal(task, 1, 30.0)
-        figures: list[list[float]] = []
-        seconds = np.zeros(3)
-        for proposal in known_proposals(task):
-            if proposal.modes is None or proposal.motion is None:
-                continue
-            problem = task.with_modes(proposal.modes, proposal.motion)
-            draft = trajopt.solve(problem, draft=True, max_time=30.0)
-            coarse = screened(task, proposal, 30.0)
-            body = solve_on_mesh(_body(problem), intervals=problem.default_intervals // 3, judge=False)
-            seconds += spent(draft)[0], coarse.seconds, spent(body)[0]
-            away = math.nan if relaxed.modes is None else relaxed.modes.apart(proposal.modes)
-            solved = [each.statistics.objective if each.converged else math.inf for each in (draft, body)]
-            figures.append(
-                [solved[0], math.inf if coarse.screened is None else coarse.screened, solved[1], away]
-            )
-        cost, *others = np.array(figures).T
-        ranks = [float(spearmanr(cost, other).statistic) for other in others]
-        label = named(
-            name, {key: value if isinstance(value, str) else f"{value:.2g}" for key, value in values.items()}
-        )
-        row(
-            label,
-            len(figures),
-            *(f"{rank:.2f}" for rank in ranks),
-            *(f"{s:.2f}" for s in seconds[1:] / seconds[0]),
-        )
-
-
-def _body(problem: Problem) -> Problem:
-    """The problem of one rigid body, with wrenches that cost what torques do in standing still."""
-    body = body_problem(replace(problem, periodicity=None))
-    share = standing_share(problem.robot)
-    costs = (WrenchCost(weight=share * term.weight) for term in problem.terms if isinstance(term, TorqueCost))
-    return replace(body, terms=(*body.terms, *costs), periodicity=problem.periodicity)
-
-
 @click.command("discovery-goals")
 @click.option("--count", default=10, help="Goals of each robot.")
 @click.option("--seed", default=1)
@@ -272,66 +195,3 @@ def goals(count: int, seed: int) -> None:
         relaxed = sum(each.best[0].source.startswith("relaxed") for each in solved)
         seconds = float(np.median([each.seconds for each in results]))
         row(name, count, len(solved), relaxed, f"{seconds:.1f}", "; ".join(missed))
-
-
-@click.command("discovery-starts")
-@click.option("--starts", default=10)
-def starts(starts: int) -> None:
-    """Spread of the cost that is found from random starts of the same task."""
-    head(
-        "problem",
-        "certified",
-        "least cost",
-        "median",
-        "largest",
-        "different schedules",
-        "solvers [s], median",
-    )
-    for name, values in (
-        ("quadruped-trot", {"robot": "go2"}),
-        ("hopper-hop", {}),
-        ("quadruped-box-up", {"robot": "go2"}),
-    ):
-        problem: Problem = problems.load(name, **values)
-        task = ContactTask.of(problem)
-        candidates = []
-        for seed in range(1, starts + 1):
-            proposal = relaxed_proposal(task, seed, 30.0)
-            if proposal.modes is not None:
-                candidates.append(certified(task, proposal, 30.0))
-        costs = sorted(each.objective for each in candidates if each.objective is not None)
-        different = {
-            each.modes.key for each in candidates if each.objective is not None and each.modes is not None
-        }
-        seconds = float(np.median([each.seconds for each in candidates]))
-        figures = (
-            [f"{value:.4g}" for value in (costs[0], float(np.median(costs)), costs[-1])]
-            if costs
-            else [""] * 3
-        )
-        row(
-            " ".join([name, *values.values()]),
-            f"{len(costs)} of {starts}",
-            *figures,
-            len(different),
-            f"{seconds:.1f}",
-        )
-
-
-@click.command("discovery-slacks")
-def slacks() -> None:
-    """Proposals that are certified, by the slacks of the relaxed solves: five tasks, two starts each."""
-    head("slacks", "certified, of ten", "solvers of all [s]")
-    usual = relaxation.SLACKS
-    for sequence in SEQUENCES:
-        relaxation.SLACKS = sequence
-        count, seconds = 0, 0.0
-        for name, values in SLACK_TASKS:
-            task = ContactTask.of(problems.load(name, **values))
-            for seed in range(2):
-                proposal = relaxed_proposal(task, seed, 20.0)
-                candidate = None if proposal.modes is None else certified(task, proposal, 20.0)
-                count += candidate is not None and candidate.status == CERTIFIED
-                seconds += proposal.seconds if candidate is None else candidate.seconds
-        row(", ".join(f"{slack:g}" for slack in sequence), count, f"{seconds:.0f}")
-    relaxation.SLACKS = usual

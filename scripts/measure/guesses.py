@@ -8,7 +8,8 @@ import numpy as np
 
 from scripts.measure.shared import NOISE, head, median, row, solver_option, timed
 from trajopt import Problem, solve
-from trajopt.guesses.body_guess import DEFAULT_CLEARANCE, FootMotion, guess_from_lip, guess_from_srb
+from trajopt.guesses.body_guess import DEFAULT_CLEARANCE, guess_from_lip, guess_from_srb
+from trajopt.problem.contact_motion import ContactMotion
 from trajopt.reduced.footsteps import feet_of
 from trajopt.reduced.single_rigid_body import body_problem, footholds_of
 from trajopt.solvers.result import StoppingCriteria
@@ -31,11 +32,11 @@ LIMITS = StoppingCriteria(max_iterations=200)
 class Midway:
     """Centre of mass midway between the feet, as its motion in a guess without a model."""
 
-    feet: FootMotion
+    feet: ContactMotion
 
     def com(self, t: float) -> np.ndarray:
         """Mean position of the feet (2,), m."""
-        places = [self.feet.foothold(name, t).position[:2] for name in self.feet.initial]
+        places = [self.feet.pose(name, t).translation[:2] for name in self.feet.stances]
         return np.asarray(np.mean(places, axis=0))
 
     def velocity(self, t: float) -> np.ndarray:
@@ -84,7 +85,7 @@ def walks() -> Iterator[tuple[str, str, Problem]]:
         problem = problems.load("biped-walk", **values)
         yield name, "pendulum", problem
         robot, plan = problem.robot, footholds_of(problem)
-        feet = FootMotion(plan=plan, initial=feet_of(robot, problem.initial_q), clearance=DEFAULT_CLEARANCE)
+        feet = plan.contact_motion(feet_of(robot, problem.initial_q), DEFAULT_CLEARANCE)
         yield name, "midway", replace(problem, guess=guess_from_lip(robot, plan, Midway(feet=feet)))
         yield name, "standing still", standing_still(problem)
 

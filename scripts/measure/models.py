@@ -115,11 +115,7 @@ def bases(yaw: float, transcription: str, intervals: int, solver: str) -> None:
         paths: list[np.ndarray] = []
         for _, base, build in _bases(name, name, ORDERS, **parameters):
             found = solve(
-                build(),
-                transcription=transcription,
-                intervals=intervals,
-                solver=solver,
-                max_iterations=300,
+                build(), transcription=transcription, intervals=intervals, solver=solver, max_iterations=300
             )
             paths.append(base_path(found))
             apart = np.linalg.norm(paths[-1] - paths[0], axis=1).max()

@@ -16,7 +16,6 @@ from trajopt.mpc import (
     ControllerSettings,
     DrivenMotion,
     PlannerSettings,
-    SolverSettings,
     drive,
 )
 from trajopt.robot import Robot
@@ -213,60 +212,3 @@ def gait_changes(names: str, seeds: int) -> None:
             given = [Command(), *(Command(gait=gait, speed=speed) for gait in order), Command()]
             script = CommandScript((0.0, *times), tuple(given))
             row(name, str(seed), *cells(drive(robot, script, duration=times[-1] + 1.5)))
-
-
-VARIANTS: dict[str, PlannerSettings] = {
-    "as usual": PlannerSettings(),
-    "horizon of a period": PlannerSettings(span=1.0),
-    "4 intervals a period": PlannerSettings(intervals=4),
-    "12 intervals a period": PlannerSettings(intervals=12),
-    "degree 1, 12 intervals": PlannerSettings(scheme="legendre:1", intervals=12),
-    "degree 3, 4 intervals": PlannerSettings(scheme="legendre:3", intervals=4),
-    "1 step": PlannerSettings(solver=SolverSettings(steps=1, most_steps=1, changed_steps=2)),
-    "8 steps": PlannerSettings(solver=SolverSettings(steps=8, most_steps=8, changed_steps=12)),
-    "barrier 1e-3": PlannerSettings(solver=SolverSettings(barrier=1e-3)),
-    "durations of the gait": PlannerSettings(timing=0.0),
-    "no torque rows": PlannerSettings(torque_rows=False),
-}
-
-
-@click.command("horizons")
-@click.option("--robot", "name", default="go2", show_default=True)
-@click.option("--seconds", default=10.0, show_default=True)
-def horizons(name: str, seconds: float) -> None:
-    """What horizon, degree, mesh, steps and rows cost, and what they bring."""
-    robot = robots.load(name)
-    head(
-        "planner",
-        "plan, ms",
-        "99 %, ms",
-        "fell",
-        "speed, m/s",
-        "transport",
-        "push from the side",
-    )
-    for title, planner in VARIANTS.items():
-        settings = ControllerSettings(planner=planner)
-        run = drive(robot, random_walk(robot, "trot", seconds, 0), duration=seconds, settings=settings)
-        fell, speed, *_ = cells(run)
-        plan = run.report.plan_times
-        transport, make = _transport(robot, settings), partial(Controller, robot, ("trot",), settings)
-        row(
-            title,
-            f"{1e3 * plan.median:.1f}",
-            f"{1e3 * plan.p99:.1f}",
-            fell,
-            speed,
-            f"{transport:.2f}",
-            f"{survived(robot, 90.0, (0.3, 0.4, 0.5, 0.6), 2.0, 3.0, make):.1f}",
-        )
-
-
-def _transport(robot: Robot, settings: ControllerSettings) -> float:
-    """Work of the drives over weight and way, at a steady trot; braking counts."""
-    run = drive(robot, straight("trot", usual_speed(robot)), duration=4.0, settings=settings)
-    record, late = run.record, slice(2000, None)
-    rates = record.qvel[:-1, 6:][late]
-    work = np.abs(record.torque[late] * rates).sum() * 1e-3
-    way = float(np.linalg.norm(record.qpos[-1, :2] - record.qpos[2000, :2]))
-    return float(work / (robot.weight * max(way, 1e-9)))

@@ -78,7 +78,7 @@ def rounds(graded: Path, slowest: int) -> None:
 @click.command()
 @click.argument("simulated", type=folder)
 def tracking(simulated: Path) -> None:
-    """Errors of the base at the end, mm, of plans in a run with --simulate; bold or fell: not tracked."""
+    """Errors of the base at the end, mm, of plans in a run with --simulate; off or fell: not tracked."""
     known = [each for each in pairs(simulated) if each["robot"] in LEGGED and each["physics"]]
     head("problem", *LEGGED)
     for problem, group in groupby(known, key=lambda pair: pair["problem"]):
@@ -92,7 +92,7 @@ def _base_error(physics: Pair) -> str:
     if physics["word"] == "fell" or physics["base_error_end"] is None:
         return str(physics["word"])
     error = f"{1e3 * physics['base_error_end']:.1f}"
-    return error if physics["word"] == "tracked" else f"**{error}**"
+    return error if physics["word"] == "tracked" else f"{error} off"
 
 
 def pairs(run: Path) -> list[Pair]:

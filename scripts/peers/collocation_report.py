@@ -57,39 +57,31 @@ def chosen(found: Sequence[Measured], theirs: Measured) -> Measured | None:
 
 
 def summary(found: Sequence[Measured]) -> Iterator[str]:
-    """One line a setting of theirs, and the fastest of ours with an error as small."""
+    """One line a task and method of theirs: the finest mesh, beside the fastest of ours at its error or less.
+
+    The last column has the ratios of times on all meshes of theirs.
+    """
     titles = ("task", "theirs", "[s]", "error", "objective", "ours", "[s]", "error", "objective")
-    return table((*titles, "theirs / ours", "of processor"), _compared(found))
+    return table((*titles, "theirs / ours", "of processor", "on all meshes"), _compared(found))
 
 
 def _compared(found: Sequence[Measured]) -> Iterator[Sequence[str]]:
-    for m in (m for m in found if m.side != OURS):
-        cells = [m.task, m.label, f"{m.median:.4f}", f"{m.along:.1e}", f"{m.objective:.5g}"]
-        ours = chosen(found, m)
-        if not m.solved or ours is None:
-            yield [*cells, "" if m.solved else "(theirs not converged)", *[""] * 5]
-            continue
-        ratios = m.median / ours.median, statistics.median(m.processor) / statistics.median(ours.processor)
-        figures = f"{ours.median:.4f}", f"{ours.along:.1e}", f"{ours.objective:.5g}"
-        yield [*cells, f"`{ours.method}@{ours.intervals}`", *figures, *(f"{ratio:.3g}" for ratio in ratios)]
+    for method in dict.fromkeys((m.task, m.side, m.method) for m in found if m.side != OURS):
+        meshes = [m for m in found if (m.task, m.side, m.method) == method]
+        pairs = [(m, ours) for m in meshes if m.solved and (ours := chosen(found, m))]
+        ratios = [m.median / ours.median for m, ours in pairs]
+        bounds = f"{min(ratios):.3g} to {max(ratios):.3g}" if ratios else ""
+        yield [*_beside_ours(max(meshes, key=lambda m: m.intervals), found), bounds]
 
 
-def everything(found: Sequence[Measured]) -> Iterator[str]:
-    """One line a setting."""
-    titles = "task", "setting", "build [s]", "[s]", "processor [s]", "error", "at the end", "objective"
-    return table((*titles, "beyond limits"), map(_figures, found))
-
-
-def _figures(m: Measured) -> Sequence[str]:
-    times = m.build, m.median, statistics.median(m.processor)
-    return [
-        m.task,
-        m.label + ("" if m.solved else ", not converged"),
-        *(f"{value:.4f}" for value in times),
-        *(f"{value:.1e}" for value in (m.along, m.end)),
-        f"{m.objective:.5g}",
-        f"{100 * m.beyond:.1f} %",
-    ]
+def _beside_ours(m: Measured, found: Sequence[Measured]) -> Sequence[str]:
+    cells = [m.task, m.label, f"{m.median:.4f}", f"{m.along:.1e}", f"{m.objective:.5g}"]
+    ours = chosen(found, m)
+    if not m.solved or ours is None:
+        return [*cells, "" if m.solved else "(theirs not converged)", *[""] * 5]
+    ratios = m.median / ours.median, statistics.median(m.processor) / statistics.median(ours.processor)
+    figures = f"{ours.median:.4f}", f"{ours.along:.1e}", f"{ours.objective:.5g}"
+    return [*cells, f"`{ours.method}@{ours.intervals}`", *figures, *(f"{ratio:.3g}" for ratio in ratios)]
 
 
 def write_csv(found: Sequence[Measured], path: Path) -> None:

@@ -19,11 +19,7 @@ from scripts.peers.tasks import Gait, Task
 
 # Steps of the integration in one step of a plan.
 FINER = 20
-SOLVERS = {
-    "FDDP": crocoddyl.SolverFDDP,
-    "BoxFDDP": crocoddyl.SolverBoxFDDP,
-    "mim SQP": mim_solvers.SolverSQP,
-}
+SOLVERS = {"FDDP": crocoddyl.SolverFDDP, "BoxFDDP": crocoddyl.SolverBoxFDDP, "mim SQP": mim_solvers.SolverSQP}
 KINDS = {"walk": "Walking", "trot": "Trotting", "pace": "Pacing", "bound": "Bounding"}
 ROBOTS = {
     "anymal_b": ("anymal", ("LF_FOOT", "RF_FOOT", "LH_FOOT", "RH_FOOT")),

@@ -99,70 +99,47 @@ def _two_threads(found: Sequence[Measured], task: str) -> str:
 
 
 def summary(found: Sequence[Measured], tasks: Sequence[str]) -> Iterator[str]:
-    """One line a gait: Crocoddyl's example, ours at a hundredth of its error, and the ratio of times."""
+    """One line a task: Crocoddyl's example, ours at a hundredth of its error, and the ratio of times."""
+    side = "[s]", "iterations", "error [m]"
     titles = (
         "task",
-        "Crocoddyl [s]",
-        "iterations",
-        "error [m]",
+        f"Crocoddyl {side[0]}",
+        *side[1:],
         "ours",
-        "[s]",
-        "iterations",
-        "error [m]",
+        *side,
         "ratio",
         "of least times",
         "two threads each",
     )
-    yield f"| {' | '.join(titles)} |"
-    yield "|" + "---|" * len(titles)
-    for task in tasks:
-        theirs, ours = example(found, task), chosen(found, task)
-        cells = [task, f"{theirs.median:.3f}", f"{theirs.iterations}", f"{theirs.end:.1e}"]
-        if ours is None:
-            missing = [""] * 6
-            yield f"| {' | '.join([*cells, 'none reaches a hundredth', *missing])} |"
-            continue
-        cells += [
-            f"`{ours.setting.label}`",
-            f"{ours.median:.3f}",
-            f"{ours.iterations}",
-            f"{ours.largest:.1e}",
-        ]
-        cells += [f"{ratio:.2f}" for ratio in ours.ratios(theirs)] + [_two_threads(found, task)]
-        yield f"| {' | '.join(cells)} |"
+    return table(titles, (_beside_example(found, task) for task in tasks))
+
+
+def _beside_example(found: Sequence[Measured], task: str) -> Sequence[str]:
+    theirs, ours = example(found, task), chosen(found, task)
+    cells = [task, f"{theirs.median:.3f}", f"{theirs.iterations}", f"{theirs.end:.1e}"]
+    if ours is None:
+        return [*cells, "none reaches a hundredth", *[""] * 6]
+    figures = f"`{ours.setting.label}`", f"{ours.median:.3f}", f"{ours.iterations}", f"{ours.largest:.1e}"
+    return [*cells, *figures, *(f"{ratio:.2f}" for ratio in ours.ratios(theirs)), _two_threads(found, task)]
 
 
 def knots(found: Sequence[Measured], tasks: Sequence[str]) -> Iterator[str]:
-    """One line a task and length of knots: ours at their largest error or less, and the ratio of times."""
-    titles = "task", "Crocoddyl", "largest error [m]", "[s]", "ours", "largest error [m]", "[s]", "ratio"
-    return table(titles, _at_equal_errors(found, tasks))
+    """One line a task: the ratio of times by the length of knots, ours at their largest error or less."""
+    sizes = sorted({m.setting.size for m in found if m.setting.side == CROCODDYL}, reverse=True)
+    rows = ([task, *(_at_equal_errors(found, task, size) for size in sizes)] for task in tasks)
+    return table(("task", *(f"{size:g} ms" for size in sizes)), rows)
 
 
-def _at_equal_errors(found: Sequence[Measured], tasks: Sequence[str]) -> Iterator[Sequence[str]]:
-    for task in tasks:
-        methods = example(found, task).setting.method
-        for theirs in _of(found, task=task, side=CROCODDYL, method=methods, detail="1"):
-            known = _of(found, task=task, side=OURS, detail=STAGES)
-            equal = [m for m in known if m.solved and m.largest <= theirs.largest]
-            ours = min(equal, key=lambda m: m.median, default=None)
-            if ours is None or not theirs.solved:
-                continue
-            each = ((f"`{m.setting.label}`", f"{m.largest:.1e}", f"{m.median:.3f}") for m in (theirs, ours))
-            yield [task, *(cell for cells in each for cell in cells), f"{ours.ratios(theirs)[0]:.2f}"]
-
-
-def everything(found: Sequence[Measured], tasks: Sequence[str]) -> Iterator[str]:
-    """One line a setting."""
-    titles = "task", "setting", "", "[s]", "iterations", "error at the end [m]", "largest [m]", "torque [N m]"
-    yield f"| {' | '.join(titles)} |"
-    yield "|" + "---|" * len(titles)
-    for task in tasks:
-        for m in _of(found, task=task):
-            s = m.setting
-            detail = s.detail if s.side == OURS else f"{s.detail} thread{'s' * (s.detail != '1')}"
-            ended = f"{m.iterations}" + ("" if m.solved else ", not converged")
-            figures = f"{m.end:.1e} | {m.largest:.1e} | {m.torque:.3g}"
-            yield f"| {task} | {s.side} `{s.label}` | {detail} | {m.median:.3f} | {ended} | {figures} |"
+def _at_equal_errors(found: Sequence[Measured], task: str, size: float) -> str:
+    """Ratio of times for our fastest mesh; empty where there is none, or theirs did not converge."""
+    method = example(found, task).setting.method
+    theirs = _of(found, task=task, side=CROCODDYL, method=method, size=size, detail="1")
+    if not theirs or not theirs[0].solved:
+        return ""
+    known = _of(found, task=task, side=OURS, detail=STAGES)
+    equal = [m for m in known if m.solved and m.largest <= theirs[0].largest]
+    ours = min(equal, key=lambda m: m.median, default=None)
+    return "" if ours is None else f"{ours.ratios(theirs[0])[0]:.2f}"
 
 
 def write_csv(found: Sequence[Measured], path: Path) -> None:

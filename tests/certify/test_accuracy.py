@@ -244,12 +244,7 @@ def test_impact_with_a_carried_body_is_judged_with_its_mass():
     model.addFrame(pin.Frame("trunk", 1, 0, pin.SE3.Identity(), pin.OP_FRAME))
     inertia = pin.Inertia(body["mass"], np.array(body["centre"]), np.eye(3))
     carrying = loaded_model(model, "trunk", inertia)
-    law = impact(
-        carrying,
-        plan.q[row],
-        plan.v[row - 1],
-        active_contacts(MotionQuantities(plan), row),
-    )
+    law = impact(carrying, plan.q[row], plan.v[row - 1], active_contacts(MotionQuantities(plan), row))
     v, impulse = plan.v.copy(), plan.impulse.copy()
     v[row], impulse[0] = law.velocity, 0.0
     impulse[0, plan.active[row]] = law.impulses

@@ -8,13 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from tests.support.synthetic_motions import (
-    planar_flight,
-    pushing_off,
-    sampled,
-    tumbling_flight,
-    with_meta,
-)
+from tests.support.synthetic_motions import planar_flight, pushing_off, sampled, tumbling_flight, with_meta
 from trajopt.certify.check import check
 from trajopt.certify.report import FIGURES, OPEN_LOOP, Tolerances
 from trajopt.errors import InputError, SolutionFileError

@@ -1,19 +1,25 @@
-"""The check of contacts on surfaces that are not the terrain: slopes, ceilings, grasps."""
+"""The check of contacts on walls, slopes and soles, of grasps and impacts, and of velocity sources."""
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 import pinocchio as pin
 import pytest
 
+import trajopt
+from tests.support.problems import landing, still
+from tests.support.refusals import refused
 from tests.support.synthetic_motions import Motion, sampled, with_meta
 from trajopt.certify.check import check
+from trajopt.certify.report import Tolerances
 from trajopt.errors import InputError, SolutionFileError
 from trajopt.robot.contact import Contact
 from trajopt.robot.robot import Robot
 from trajopt.solution.solution import Solution
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.surface import Surface
+from trajopt_library import problems
 
 EXACT = 1e-9  # a body at rest; only rounding remains
 MASS, GRAVITY = 2.0, 9.81
@@ -148,9 +154,8 @@ WRONG = {
 def test_wrong_surfaces_in_a_file_are_refused_in_one_line(case, tmp_path):
     surfaces, message = WRONG[case]
     box = box_at(pin.SE3.Identity())
-    with pytest.raises(InputError, match=message) as caught:
+    with refused(message):
         check(with_meta(box, surfaces=surfaces))
-    assert "\n" not in str(caught.value)
 
 
 def test_surfaces_survive_a_file(tmp_path):
@@ -165,3 +170,125 @@ def test_terrain_of_another_kind_is_refused():
     for terrain, message in (({"kind": "stairs"}, "stairs"), ({"kind": "flat", "normal": "up"}, "normal")):
         with pytest.raises(SolutionFileError, match=message):
             check(with_meta(box, terrain=terrain))
+
+
+def box_on_a_sole(offset: float) -> tuple[Robot, Motion]:
+    """A box of 2 kg that rests on one sole, its centre of mass ``offset`` m before the sole's origin."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root_joint")
+    inertia = pin.Inertia(2.0, np.array([offset, 0.0, 0.3]), 0.01 * np.eye(3))
+    model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+    model.addFrame(pin.Frame("sole", joint, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    sole = Contact(frame="sole", kind="surface", half_length=0.1, half_width=0.05)
+    robot = Robot.from_model(model, name="box", contacts=[sole])
+    still, weight = np.zeros(6), 2 * 9.81
+    wrench = np.array([[0.0, 0.0, weight, 0.0, -weight * offset, 0.0]])
+    q = pin.neutral(model)
+    return robot, Motion(
+        duration=0.2,
+        contacts=("sole",),
+        q=lambda t: q,
+        v=lambda t: still,
+        a=lambda t: still,
+        tau=lambda t: np.zeros(0),
+        f=lambda t: wrench,
+    )
+
+
+@pytest.mark.parametrize(("offset", "failures"), [(0.03, ()), (0.12, ("sole_margin", "sole_margin_between"))])
+def test_surface_contact_holds_force_and_moment(offset, failures):
+    robot, motion = box_on_a_sole(offset)
+    report = check(sampled(robot, [motion], 3, contact_sizes=[[0.1, 0.05]]))
+    assert report.failures() == failures
+    assert report.sole_margin == pytest.approx(min(0.1 - offset, 0.7 * 0.075, 0.05))
+    assert report.base_residual < EXACT
+    assert report.foot_turn == 0
+    assert report.open_loop_position < EXACT
+    assert report.open_loop_orientation < EXACT
+
+
+def test_turning_sole_is_measured():
+    robot, motion = box_on_a_sole(0.0)
+    still = sampled(robot, [motion], 3)
+    turned = still.q.copy()
+    turned[-1, 3:7] = pin.Quaternion(pin.exp3(np.array([0.0, 0.0, 0.2]))).coeffs()
+    report = check(replace(still, q=turned))
+    assert report.foot_turn == pytest.approx(0.2)
+    assert report.sole_margin is None
+
+
+# What a solver leaves that stops at 1e-6 in units of weight and length.
+MET = 1e-6
+# Friction at the nodes of a coarse mesh, where its bound becomes inactive.
+COARSE = Tolerances(between=0.05)
+
+
+@lru_cache
+def landed() -> Solution:
+    solution = trajopt.solve(landing(impact=True), intervals=16, transcription="legendre:3")
+    assert solution.converged
+    return solution
+
+
+def test_impact_of_a_solution_meets_its_law_and_loses_energy():
+    report = trajopt.check(landed())
+    assert report.within(COARSE)
+    assert report.impact_residual < MET
+    assert report.impact_velocity < MET
+    assert report.impact_momentum_error < MET
+    assert report.impact_friction_margin > -MET
+    assert report.impact_energy_gain < 0
+
+
+def test_figures_of_impacts_are_none_without_one():
+    report = trajopt.check(trajopt.solve(landing(), intervals=10))
+    assert report.impact_residual is None
+    assert report.impact_friction_margin is None
+    assert report.state_jump == 0.0
+
+
+@pytest.mark.parametrize(
+    ("factor", "failing"),
+    [
+        (1.1, {"impact_residual", "impact_momentum_error"}),
+        (-1.0, {"impact_residual", "impact_momentum_error", "impact_friction_margin"}),
+    ],
+)
+def test_impulse_that_is_not_the_impacts_is_found(factor, failing):
+    wrong = trajopt.check(replace(landed(), impulse=factor * landed().impulse))
+    assert set(wrong.failures(COARSE)) == failing
+
+
+def test_velocity_that_jumps_without_an_impact_is_found():
+    hidden = replace(landed(), impulse=None, impact_index=None)
+    report = trajopt.check(hidden)
+    assert report.state_jump > 1e-3
+    assert report.failures(COARSE) == ("state_jump",)
+
+
+def test_impact_at_a_sample_within_an_interval_is_refused():
+    with pytest.raises(
+        InputError, match="'impact_index' holds 3, which is not the first sample of an interval after"
+    ):
+        trajopt.check(replace(landed(), impact_index=np.array([3])))
+
+
+def test_statics_of_a_velocity_source_are_judged_not_its_dynamics():
+    solution = trajopt.solve(still(), intervals=10)
+    assert solution.converged
+    assert solution.description.actuation == "velocity"
+    report = trajopt.check(solution)
+    assert report.ok
+    assert report.base_residual < MET
+    assert not trajopt.check(with_meta(solution, actuation="torque")).ok
+
+
+def test_open_loop_of_a_velocity_source_follows_its_rates():
+    arm = problems.load("ur5-reach")
+    keep = [term for term in arm.terms if type(term).__name__ in ("FramePose", "PositionLimits")]
+    problem = replace(arm, actuation="velocity", terms=(trajopt.terms.VelocityCost(weight=1.0), *keep))
+    coarse, fine = (
+        trajopt.check(trajopt.solve(problem, intervals=n, transcription="legendre:3")) for n in (4, 8)
+    )
+    assert coarse.open_loop_joints < 1e-8
+    assert fine.ok

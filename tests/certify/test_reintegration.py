@@ -1,21 +1,30 @@
-"""Open-loop re-integration: forward dynamics under contacts, and errors that mean something."""
+"""Integration by the check: its Runge-Kutta, open-loop errors, and figures between samples."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
+from scipy.integrate import DOP853
 
+import trajopt
+from tests.support.problems import hop, landing, reach
 from tests.support.synthetic_motions import arm_motion, sampled, standing, tumbling_flight
 from trajopt._numeric import Dynamics
+from trajopt.certify.accuracy.local_errors import local_errors
+from trajopt.certify.accuracy.measures import interval_errors
 from trajopt.certify.check import check
 from trajopt.certify.contact.contact_dynamics import ContactDynamics
 from trajopt.certify.contact.contact_set import ContactSet
+from trajopt.certify.contact_figures import force_traces
 from trajopt.certify.reintegration import open_loop
 from trajopt.certify.report import Tolerances
-from trajopt.certify.runge_kutta import METHOD
+from trajopt.certify.runge_kutta import METHOD, integrate
 from trajopt.motion.quantities import MotionQuantities
+from trajopt.motion.resampling import resampled
+from trajopt.solution.solution import Solution
 from trajopt.solving.graded import solve
 from trajopt_library import problems, robots
 
@@ -129,3 +138,115 @@ def test_torque_that_runs_away_is_reported_as_infinite(flight):
     assert report.open_loop_joints == np.inf
     assert report.to_dict()["open_loop_joints"] is None
     assert not report.within(Tolerances(open_loop_joints=1.0))
+
+
+def pendulum(t: float, state: np.ndarray) -> np.ndarray:
+    return np.array([state[1], -9.81 * np.sin(state[0]) + np.cos(3 * t)])
+
+
+def peers(rate, state, relative: float, absolute: float) -> tuple[np.ndarray, int]:
+    """SciPy's result, and its number of evaluations."""
+    method = DOP853(rate, 0.0, state, 1.0, rtol=relative, atol=absolute)
+    while method.status == "running":
+        method.step()
+    return method.y, method.nfev
+
+
+@pytest.mark.parametrize("relative", [1e-4, 1e-8, 1e-12])
+@pytest.mark.parametrize("rate_of", [1.0, 30.0])
+def test_result_and_evaluations_are_scipys(relative, rate_of):
+    counted = itertools.count()
+
+    def rate(t: float, state: np.ndarray) -> np.ndarray:
+        next(counted)
+        return rate_of * pendulum(rate_of * t, state)
+
+    start = np.array([2.0, -1.0])
+    ours = integrate(rate, start, relative=relative, absolute=1e-3 * relative)
+    evaluations = next(counted)
+    theirs, count = peers(rate, start, relative, 1e-3 * relative)
+    assert ours is not None
+    assert evaluations == count
+    assert_allclose(ours, theirs, rtol=max(1e-12, 1e-4 * relative))  # a pendulum multiplies rounding
+
+
+def test_error_falls_with_the_eighth_power_of_the_step():
+    errors = []
+    for steps in (4, 8):
+        state = np.array([1.0, 0.0])
+        for _ in range(steps):  # a loose bound: each call takes one step
+            end = integrate(
+                lambda _, s: np.array([s[1], -s[0]]), state, relative=1e3, absolute=1e3, length=2 / steps
+            )
+            assert end is not None
+            state = end
+        errors.append(np.abs(state - [np.cos(2), -np.sin(2)]).max())
+    assert 7.5 < np.log2(errors[0] / errors[1]) < 9.5
+
+
+def test_what_grows_without_bound_or_is_no_number_has_no_result():
+    def explodes(_: float, state: np.ndarray) -> np.ndarray:
+        return state**2
+
+    with np.errstate(over="ignore", invalid="ignore"):
+        assert integrate(explodes, np.array([10.0]), relative=1e-6, absolute=1e-9) is None
+        assert integrate(lambda _, s: s * np.nan, np.ones(2), relative=1e-6, absolute=1e-9) is None
+
+
+def test_a_state_at_rest_stays():
+    rest = integrate(lambda _, s: 0 * s, np.array([3.0, -1.0]), relative=1e-9, absolute=1e-12)
+    assert_allclose(rest, [3.0, -1.0], rtol=0, atol=0)
+
+
+FINE = np.linspace(0.0, 1.0, 201)
+# The worst value differs from that of two hundred samples in each interval by this part of the figure's unit.
+FOUND = 2e-3
+# An estimate of local errors serves within this factor.
+FACTOR = 2.0
+
+
+@pytest.fixture(scope="module", params=["legendre:2", "legendre:4", "radau:3"])
+def plan(request: pytest.FixtureRequest) -> Solution:
+    return trajopt.solve(landing(), intervals=8, transcription=request.param)
+
+
+@pytest.mark.long
+def test_worst_of_two_hundred_samples_is_found_with_a_few(plan):
+    report, fine = check(plan, integrate=False), resampled(plan.normalized(), FINE)
+    motion = MotionQuantities(fine)
+    expected = {**force_traces(motion), **motion.limit_traces}
+    for name in ("friction_margin", "unilateral_margin", "velocity_excess", "position_excess"):
+        worst = expected[name].worst()
+        assert worst is not None
+        found, sign = getattr(report, f"{name}_between"), -1 if expected[name].margin else 1
+        assert sign * found > sign * worst[0] - FOUND, name
+        assert sign * found < sign * worst[0] + FOUND, name
+
+
+@pytest.mark.long
+def test_places_are_those_of_the_worst_values(plan):
+    report = check(plan, integrate=False)
+    place = report.places["friction_margin_between"]
+    assert place.phase == "landing"
+    assert place.name == "foot"
+    number = int(plan.interval_at(place.time))
+    start, end = plan.interval_t[number]
+    assert start <= place.time <= end
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("problem", [landing(), hop(), reach(gravity=True)], ids=["landing", "hop", "reach"])
+def test_local_errors_are_those_of_an_integration(problem):
+    plan = trajopt.solve(problem, intervals=12).normalized()
+    found = local_errors(MotionQuantities(plan)).position
+    expected = interval_errors(plan)
+    large = expected > 1e-2 * expected.max()
+    assert_allclose(np.log(found[large] / expected[large]), 0.0, atol=np.log(FACTOR))
+    assert found.sum() == pytest.approx(expected.sum(), rel=0.5)
+
+
+@pytest.mark.long
+def test_local_errors_of_uneven_meshes_are_in_the_order_of_the_intervals():
+    plan = trajopt.solve(landing(), transcription="legendre:2,legendre:2,legendre:3", intervals=8)
+    found = local_errors(MotionQuantities.normalized(plan)).position
+    assert np.argmax(found) == np.argmax(interval_errors(plan))

@@ -24,7 +24,7 @@ from tests.support.processes import (
     task_processes,
     until,
 )
-from trajopt.study.batch.dataset import dataset
+from trajopt.study.batch.batch import dataset
 
 # Size of files on a disk that is "full": rows of the journal of a few cases fit in, a solution does not.
 FULL = 4096

@@ -359,7 +359,7 @@ def test_options_of_solve_are_grouped():
 
 def test_layers_that_may_be_hidden_are_listed():
     from trajopt.cli.view import LAYERS
-    from trajopt.view.replay.layers import LAYERS as KNOWN
+    from trajopt.view.replay.scene import LAYERS as KNOWN
 
     assert LAYERS.replace(" or ", ", ").split(", ") == [layer[0] for layer in KNOWN]
 

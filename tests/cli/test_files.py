@@ -32,6 +32,12 @@ def test_a_log_of_a_continuation_does_not_replace_its_start(notes: Path) -> None
     assert notes.read_text(encoding="utf-8") == NOTES
 
 
+def test_a_continuation_that_is_refused_leaves_no_folder(tmp_path: Path) -> None:
+    arguments = ("--vary", "x=0.2:0.4:2", "--max-time", 0, "--output-dir", tmp_path / "new" / "out")
+    assert_refused(invoke("continue", "ur5-reach", *arguments), "max_time is 0 s")
+    assert not (tmp_path / "new").exists()
+
+
 def test_a_page_of_a_robot_is_a_page(notes: Path) -> None:
     assert_refused(invoke("robot", "ur5", "--html", notes), "does not end with .html")
     assert notes.read_text(encoding="utf-8") == NOTES
@@ -49,7 +55,7 @@ def test_a_sweep_deletes_no_solutions_that_are_not_its_own(tmp_path: Path) -> No
     mine.parent.mkdir()
     mine.write_text(NOTES, encoding="utf-8")
     done = invoke("bench", "sweep", "ur5-reach", "--output-dir", tmp_path)
-    assert_refused(done, "mine.npz is there, without a sweep", "allowed: another --output-dir")
+    assert_refused(done, "mine.npz is there, without a sweep", "allowed: another folder")
     assert mine.read_text(encoding="utf-8") == NOTES
 
 

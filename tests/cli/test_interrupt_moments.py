@@ -130,8 +130,8 @@ COMMANDS: dict[str, tuple[tuple[object, ...], list[Moment]]] = {
     "continue": (
         ("continue", *SMALL, "--vary", "distance=0.1:0.2:2", "--output-dir", "out"),
         [
-            at("progress:SolveControl.__call__", UNSOLVED, count=2),
-            at("solving:prepare", UNSOLVED, count=2),
+            at("progress:SolveControl.__call__", CANCELLED, count=2),
+            at("solving:prepare", CANCELLED, count=2),
             at("solution:Solution.save", CANCELLED),
         ],
     ),
@@ -148,17 +148,17 @@ COMMANDS: dict[str, tuple[tuple[object, ...], list[Moment]]] = {
     "suite": (
         ("bench", "suite", "--problems", "t-reach,t-hanging", "--jobs", "2"),
         [
-            at("pool:run_all", CANCELLED),
-            at("runner:run_tasks", CANCELLED, event="return"),
-            at("records:SuiteRecords.add", CANCELLED),
+            at("engine:run_suite", CANCELLED),
+            at("tasks:Workers.run", CANCELLED, event="return"),
+            at("engine:SuiteRecords.add", CANCELLED),
         ],
     ),
     "sweep": (
         ("bench", "sweep", "s-reach", *SWEPT, "--output-dir", "swept"),
         [
-            at("executor:ProcessPerTaskExecutor.submit", CANCELLED),
+            at("processes:ProcessPerTaskExecutor.submit", CANCELLED),
             at("records:SweepRecords.add", CANCELLED, event="return"),
-            at("executor:ProcessPerTaskExecutor.__exit__", SOLVED, count=2),
+            at("processes:ProcessPerTaskExecutor.__exit__", SOLVED, count=2),
         ],
     ),
 }

@@ -14,8 +14,8 @@ from rich.cells import cell_len
 
 from tests.support.problems import hop
 from tests.support.processes import AtTerminal, python
+from tests.support.refusals import refused
 from trajopt import solve
-from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.solvers.drivers import SOLVERS
 from trajopt.solving.ladder import solve_ladder
@@ -201,9 +201,8 @@ def test_a_table_has_every_iteration_as_the_progress_was_told_it(solver: str, tm
 
 
 def test_a_table_that_cannot_be_written_is_refused_in_one_line(tmp_path: Path):
-    with pytest.raises(InputError, match="cannot write") as caught:
+    with refused("cannot write"):
         IterationTable(tmp_path / "none" / "log.csv")
-    assert "\n" not in str(caught.value)
 
 
 def test_lines_have_one_iteration_each(capsys: pytest.CaptureFixture[str]):

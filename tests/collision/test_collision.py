@@ -1,12 +1,18 @@
-"""Scenes of links and obstacles: their distances by Coal, and what is refused."""
+"""Scenes of links and obstacles: placements, distances by Coal and by fits, and what is refused."""
 
 import coal
 import numpy as np
 import pinocchio as pin
 import pytest
 
+import trajopt
+from tests.support.problems import hop
+from tests.support.refusals import refused
+from tests.support.solved_problems import motion
+from trajopt import _numeric
 from trajopt.collision.coal_shapes import coal_link, coal_obstacle
 from trajopt.collision.description import robot_shapes
+from trajopt.collision.joint_distance import REACH, STEP, JointDistances
 from trajopt.collision.near import CollisionScene, separable_pairs
 from trajopt.collision.shapes import (
     BoxObstacle,
@@ -15,7 +21,7 @@ from trajopt.collision.shapes import (
     SphereObstacle,
     obstacle_from_description,
 )
-from trajopt.errors import InputError
+from trajopt.problem.bodies import bodies_of
 from trajopt_library import robots
 
 COAL = 1e-6  # m; what Coal's iterations for a box stop at
@@ -98,6 +104,116 @@ BAD = {
 @pytest.mark.parametrize("case", BAD)
 def test_bad_input_is_refused_in_one_line(case):
     build, message = BAD[case]
-    with pytest.raises(InputError, match=message) as caught:
+    with refused(message):
         build()
-    assert "\n" not in str(caught.value)
+
+
+ROUNDING = 1e-12  # sums of numbers around one
+AXIS = np.array([1.0, 2.0, 2.0]) / 3
+KINDS = {
+    "free": pin.JointModelFreeFlyer(),
+    "planar": pin.JointModelPlanar(),
+    "spherical": pin.JointModelSpherical(),
+    "angles": pin.JointModelSphericalZYX(),
+    "translation": pin.JointModelTranslation(),
+    "revolute": pin.JointModelRY(),
+    "skew": pin.JointModelRevoluteUnaligned(AXIS),
+    "continuous": pin.JointModelRUBZ(),
+    "prismatic": pin.JointModelPX(),
+    "skew prismatic": pin.JointModelPrismaticUnaligned(AXIS),
+    "helical": pin.JointModelHelicalUnaligned(AXIS, 0.3),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_placements_are_those_of_forward_kinematics(kind):
+    model, random = pin.Model(), np.random.default_rng(0)
+    first = model.addJoint(0, KINDS[kind], pin.SE3.Random(), "first")
+    second = model.addJoint(first, KINDS[kind], pin.SE3.Random(), "second")
+    model.addJoint(second, pin.JointModelRX(), pin.SE3.Random(), "third")
+    steps = random.uniform(-2, 2, (5, model.nv))
+    q = np.array([pin.integrate(model, pin.neutral(model), step) for step in steps])
+    frames = [model.addFrame(pin.Frame(f"{j}", j, pin.SE3.Random(), pin.OP_FRAME)) for j in range(1, 4)]
+    bodies, ball = _numeric.Bodies(model), coal.Sphere(0.1)
+    for frame in (*frames, -1):
+        bodies.add(ball, frame, np.eye(3, 4), np.zeros((1, 3)), 0.1, np.zeros((0, 4)))
+    found = bodies.placements(q).reshape(len(q), len(frames) + 1, 12)
+    data = model.createData()
+    for row, configuration in enumerate(q):
+        pin.framesForwardKinematics(model, data, configuration)
+        places = [*(data.oMf[frame] for frame in frames), pin.SE3.Identity()]
+        for body, place in enumerate(places):
+            assert found[row, body, :9] == pytest.approx(place.rotation.ravel(), abs=ROUNDING)
+            assert found[row, body, 9:] == pytest.approx(place.translation, abs=ROUNDING)
+
+
+def test_what_is_no_body_is_refused():
+    model = pin.buildSampleModelManipulator()
+    bodies, place, point, none = _numeric.Bodies(model), np.eye(3, 4), np.zeros((1, 3)), np.zeros((0, 4))
+    with pytest.raises(TypeError, match="CollisionGeometry"):
+        bodies.add("ball", 1, place, point, 0.1, none)
+    with pytest.raises(ValueError, match="frame"):
+        bodies.add(coal.Sphere(0.1), model.nframes, place, point, 0.1, none)
+    with pytest.raises(ValueError, match="half-space"):
+        bodies.add(None, -1, place, point, 0.0, none)
+    bodies.add(coal.Sphere(0.1), 1, place, point, 0.1, none)
+    for pair in ((0, 1), (-1, 0)):
+        with pytest.raises(ValueError, match="pair"):
+            bodies.distances(np.zeros((1, model.nq)), [pair], np.array([np.inf]))
+    with pytest.raises(ValueError, match="q has"):
+        bodies.distances(np.zeros((1, model.nq + 1)), [(0, 0)], np.array([np.inf]))
+
+
+HIP = ("left_hip_roll_link", "pelvis_contour_link")
+# Errors of a fit over its cell, m: hulls of meshes have edges.
+ERROR = 1e-3
+
+
+@pytest.fixture(scope="module")
+def scene() -> CollisionScene:
+    return bodies_of(trajopt.load("biped-jump-up", robot="g1")).scene
+
+
+def test_a_row_is_the_distance_where_it_is_laid_and_near_it_around(scene: CollisionScene) -> None:
+    fits, generator = JointDistances(scene), np.random.default_rng(0)
+    model, column = scene.model, scene.pairs.index(HIP)
+    rows = [model.joints[joint].idx_q for joint in fits.joints(HIP)]
+    q = np.tile(robots.load("g1").reference, (20, 1))
+    q[:, rows] = generator.uniform([-2.0, -0.3], [0.5, 0.5], size=(20, 2))
+    parameters = fits.rows(HIP, q, 0.002)
+    moved = q.copy()
+    moved[:, rows] += generator.uniform(STEP / 2 - REACH, REACH - STEP / 2, size=(20, 2))
+    for at, error in ((q, 1e-12), (moved, ERROR)):
+        found = fits.values(HIP, at, parameters)
+        np.testing.assert_allclose(found, scene.distances(at)[:, column] - 0.002, atol=error)
+
+
+@pytest.mark.parametrize(
+    ("pair", "joints"),
+    [
+        (HIP, ["left_hip_pitch_joint", "left_hip_roll_joint"]),
+        (("left_hip_yaw_link", "right_hip_yaw_link"), []),
+        (("left_hip_roll_link", "ground"), []),
+    ],
+)
+def test_few_revolute_joints_lie_between_two_links(
+    scene: CollisionScene, pair: tuple[str, str], joints: list[str]
+) -> None:
+    assert [scene.model.names[joint] for joint in JointDistances(scene).joints(pair)] == joints
+
+
+def test_links_that_a_slide_moves_are_not_fitted() -> None:
+    scene = bodies_of(hop()).scene
+    fits = JointDistances(scene)
+    for pair in scene.pairs:
+        assert all(scene.model.joints[joint].shortname()[-1] in "XYZ" for joint in fits.joints(pair))
+
+
+@pytest.mark.long
+@pytest.mark.slow
+def test_near_links_of_a_jump_take_few_iterations() -> None:
+    solution = motion("biped-jump-up", robot="g1")
+    first, *others = solution.statistics.rounds
+    assert solution.success
+    assert trajopt.check(solution).ok
+    assert sum(each.iterations for each in others) < 5 * first.iterations

@@ -16,8 +16,8 @@ from trajopt.collision.coal_shapes import coal_capsule, coal_hull
 from trajopt.collision.description import robot_shapes, sampled_postures
 from trajopt.collision.planes import (
     DEPTH,
+    FOOT_SLACK,
     MOST_CORNERS,
-    NEARER,
     Approach,
     PlacedBody,
     SeparatingPlane,
@@ -342,11 +342,11 @@ def test_a_plane_leaves_a_foot_in_front_of_an_edge_beyond_it():
     found, foot = leaning()
     assert found.distance < 0
     turned = beyond_foot(found, foot, 0.0)
-    assert beyond_edge(turned.normal, foot) >= -NEARER
+    assert beyond_edge(turned.normal, foot) >= -FOOT_SLACK
     assert turned.distance <= found.distance  # of all directions the first has the shortest way out
     assert np.linalg.norm(turned.normal) == pytest.approx(1.0)
     nearer = turned.normal + 1e-2 * (found.normal - turned.normal)
-    assert beyond_edge(nearer / np.linalg.norm(nearer), foot) < -NEARER
+    assert beyond_edge(nearer / np.linalg.norm(nearer), foot) < -FOOT_SLACK
 
 
 def beyond_edge(normal: np.ndarray, foot: PlacedBody) -> float:

@@ -9,16 +9,7 @@ from scipy.optimize import linprog
 
 import trajopt
 from tests.support.diagnosed import snapshot_of, solved
-from tests.support.problems import (
-    FOOT,
-    REACH,
-    REACH_TIME,
-    hop,
-    inertia,
-    lean,
-    limited_reach,
-    reach,
-)
+from tests.support.problems import FOOT, REACH, REACH_TIME, hop, inertia, lean, limited_reach, reach
 from tests.support.redundant_contacts import corners
 from trajopt import Problem, Robot
 from trajopt.diagnosis.conflict import BOX
@@ -210,7 +201,7 @@ def test_a_goal_that_torques_do_not_reach_is_named_with_them():
     assert not solution.success
     found = diagnose(solution, problem)
     assert found.conflict is not None
-    assert found.conflict.stuck
+    assert found.conflict.is_conflict
     assert found.conflict.giving[0].what.startswith("terminal_")
     assert found.conflict.against[0].what == "torque_limits [joint torque]"
     assert found.conflict.after == pytest.approx(least_violation(snapshot_of(problem, solution)), rel=1e-3)
@@ -225,7 +216,7 @@ def test_an_iterate_that_is_only_early_is_not_called_a_conflict():
     found = diagnose(solution, problem)
     assert found.status == "iteration_limit"
     assert found.conflict is not None
-    assert not found.conflict.stuck
+    assert not found.conflict.is_conflict
     assert any("early" in advice.remedy for advice in found.advice)
     assert all(report.equations for report in found.ranks)
 

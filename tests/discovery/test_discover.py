@@ -10,12 +10,11 @@ import pytest
 import trajopt
 from tests.support.solved_problems import motion
 from trajopt.discovery import ContactTask, Destination, discover, relaxed_motion, search, task_to
-from trajopt.discovery.gait_likeness import nearest_gait
 from trajopt.discovery.goal import obstacle
-from trajopt.discovery.ground import gap, smooth_gap
-from trajopt.discovery.proposals import known_proposals
+from trajopt.discovery.proposals import known_proposals, nearest_gait
 from trajopt.discovery.records import CERTIFIED, RECORD, SCREENED, UNTRIED
 from trajopt.discovery.search import nearest_reached
+from trajopt.discovery.task import gap, smooth_gap
 from trajopt.errors import InputError
 from trajopt.robot import contact_positions
 from trajopt.terrain import FlatGround, PiecewiseTerrain, SmoothTerrain, Wave
@@ -166,10 +165,10 @@ def test_records_are_resumed(tmp_path):
         "relaxed:1"
     }
     for other in (problems.load("hopper-gait"), problems.load("hopper-hop", distance=0.21)):
-        with pytest.raises(InputError, match="has candidates of another task"):
+        with pytest.raises(InputError, match="holds a discovery with another task"):
             discover(other, seeds=1, folder=tmp_path, resume=True)
     (tmp_path / RECORD).write_text("{")
-    with pytest.raises(InputError, match="no record of a discovery"):
+    with pytest.raises(InputError, match="holds no discovery"):
         discover(problem, seeds=1, folder=tmp_path, resume=True)
 
 
@@ -202,6 +201,11 @@ def test_problems_without_a_schedule_to_find_are_refused(name, values, reason):
 def test_settings_with_which_nothing_is_tried_are_refused(settings):
     with pytest.raises(InputError, match="nothing is proposed"):
         discover(problems.load("hopper-hop"), **settings)
+
+
+def test_a_scheduler_needs_no_number_of_processes():
+    with pytest.raises(InputError, match="no scheduler answers at 'nowhere'"):
+        discover(problems.load("hopper-hop"), scheduler="nowhere")
 
 
 GROUNDS = {
@@ -249,7 +253,7 @@ def test_processes_find_the_same_schedules(hop):
 
 def test_a_process_that_takes_too_long_is_a_reason(monkeypatch):
     monkeypatch.setattr(search, "relaxed_proposal", _sleep)
-    monkeypatch.setattr(search, "BESIDE", 0.05)
+    monkeypatch.setattr(search, "TIME_FACTOR", 0.05)
     found = discover(problems.load("hopper-hop"), seeds=2, known=False, jobs=2, max_time=20.0)
     assert [each.source for each in found.candidates][:2] == ["relaxed:0", "relaxed:1"]
     assert all("1 s" in each.why for each in found.candidates)

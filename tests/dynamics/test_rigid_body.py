@@ -7,9 +7,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tests.support.models import JOINT_KINDS, ROBOTS, TIP, hand_built, random_state, robot
-from trajopt.dynamics import rigid_body
+from trajopt import _pinocchio
+from trajopt.dynamics import contact_forward_dynamics, contact_inverse_dynamics, rigid_body
 from trajopt.errors import InputError, UnsupportedJointError, VersionMismatchError
 from trajopt.versions import check_versions, installed_version
+from trajopt_library import robots
 
 # Both sides evaluate the same formulas in double precision; entries near zero need an absolute part.
 SAME = {"rtol": 1e-9, "atol": 1e-10}
@@ -242,3 +244,101 @@ def test_wheels_of_other_versions_are_refused_in_one_line():
         check_versions({"casadi": "0.0.1"})
     with pytest.raises(VersionMismatchError, match="no-such-wheel none"):
         check_versions({"no-such-wheel": "1"})
+
+
+# Rows of a robot of 90 kg: 1e3 N and 1e3 rad/s^2.
+AGREES = {"rtol": 1e-8, "atol": 1e-7}
+HELD = {"solo12": {"FL_FOOT": 3, "FR_FOOT": 3, "HR_FOOT": 3}, "talos": {"left_sole_link": 6}}
+
+
+@pytest.mark.parametrize("name", HELD)
+def test_symbolic_dynamics_in_contact_are_pinocchios(name):
+    robot, held = robots.load(name), HELD[name]
+    model, random = robot.model, np.random.default_rng(0)
+    v, tau = 0.3 * random.normal(size=(2, model.nv))
+    tau[:6] = 0.0
+    a, f = contact_forward_dynamics(model, held)(robot.reference, v, tau)
+    data = model.createData()
+    mass, bias = pin.crba(model, data, robot.reference), pin.nle(model, data, robot.reference, v)
+    pin.computeJointJacobians(model, data, robot.reference)
+    pin.forwardKinematics(model, data, robot.reference, v, np.zeros(model.nv))
+    rows, drift = [], []
+    for frame, size in held.items():
+        number, axes = model.getFrameId(frame), pin.LOCAL_WORLD_ALIGNED
+        pin.updateFramePlacement(model, data, number)
+        rows.append(pin.getFrameJacobian(model, data, number, axes)[:size])
+        drift.append(pin.getFrameClassicalAcceleration(model, data, number, axes).vector[:size])
+    jacobian, drift = np.vstack(rows), np.concatenate(drift)
+    a, f = np.array(a).ravel(), np.array(f).ravel()
+    assert_allclose(mass @ a + bias, tau + jacobian.T @ f, **AGREES)
+    assert_allclose(jacobian @ a + drift, 0.0, atol=1e-9)
+    torque, wrench = contact_inverse_dynamics(model, held, robot.actuated_rows.tolist())(
+        robot.reference, v, a
+    )
+    expected = np.linalg.pinv(np.hstack([jacobian.T, np.eye(model.nv)[:, 6:]])) @ (mass @ a + bias)
+    assert_allclose(np.array(wrench).ravel(), expected[: len(jacobian)], **AGREES)
+    assert_allclose(np.array(torque).ravel(), expected[len(jacobian) :], **AGREES)
+
+
+def test_it_can_be_differentiated_and_names_what_is_unknown():
+    robot = robots.load("solo12")
+    function = contact_forward_dynamics(robot.model, {"FL_FOOT": 3})
+    q, v, tau = (ca.MX.sym(name, function.size1_in(name)) for name in ("q", "v", "tau"))
+    slope = ca.Function("slope", [q, v, tau], [ca.jacobian(function(q, v, tau)[0], tau)])
+    still = np.zeros(robot.nv)
+    assert np.isfinite(np.array(slope(robot.reference, still, still))).all()
+    with pytest.raises(InputError, match="nowhere"):
+        contact_forward_dynamics(robot.model, {"nowhere": 3})
+
+
+def joint(parent: int = 0, kind: str = "RX") -> _pinocchio.Joint:
+    made = _pinocchio.Joint()
+    made.name, made.kind, made.parent, made.mass = "joint", kind, parent, 1.0
+    made.rotation = made.inertia = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+    made.translation = made.axis = made.lever = [0.0] * 3
+    return made
+
+
+def description(*joints: _pinocchio.Joint, armature: int | None = None) -> _pinocchio.Description:
+    made = _pinocchio.Description()
+    made.joints, made.gravity = list(joints), [0.0, 0.0, -9.81]
+    made.armature = [0.0] * (len(joints) if armature is None else armature)
+    return made
+
+
+def frame(joint: int, wrench_size: int = 0) -> _pinocchio.Frame:
+    made = _pinocchio.Frame()
+    made.joint, made.wrench_size = joint, wrench_size
+    made.rotation, made.translation = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0], [0.0] * 3
+    return made
+
+
+@pytest.mark.parametrize("number", [-1, 2, 1000, 2**31 - 1])
+def test_a_frame_on_a_joint_that_is_not_there_is_refused(number: int) -> None:
+    robot, wrong = description(joint()), frame(number)
+    for function in (_pinocchio.frame_velocity, _pinocchio.frame_acceleration):
+        with pytest.raises(ValueError, match="the joint of a frame is"):
+            function(robot, wrong, "world_aligned")
+    with pytest.raises(ValueError, match="the joint of a frame is"):
+        _pinocchio.frame_placement(robot, wrong)
+    with pytest.raises(ValueError, match="the joint of a frame is"):
+        _pinocchio.fused(robot, [frame(1), wrong])
+
+
+def test_a_wrench_of_another_size_and_a_reference_that_is_none_are_refused() -> None:
+    with pytest.raises(ValueError, match="wrench size is 4"):
+        _pinocchio.fused(description(joint()), [frame(1, wrench_size=4)])
+    with pytest.raises(ValueError, match="reference 'here'"):
+        _pinocchio.frame_velocity(description(joint()), frame(1), "here")
+
+
+@pytest.mark.parametrize("parent", [-1, 1, 7])
+def test_a_joint_that_does_not_come_after_its_parent_is_refused(parent: int) -> None:
+    with pytest.raises(ValueError, match="the parent of joint 'joint' is"):
+        _pinocchio.mass_matrix(description(joint(parent)))
+
+
+@pytest.mark.parametrize("count", [0, 2])
+def test_a_wrong_number_of_armatures_is_refused(count: int) -> None:
+    with pytest.raises(ValueError, match=f"armature has {count} entries"):
+        _pinocchio.mass_matrix(description(joint(), armature=count))

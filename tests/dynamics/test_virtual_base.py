@@ -327,8 +327,7 @@ def test_a_skeleton_shows_no_virtual_joints(tmp_path):
     solution = trajopt.solve(problem, max_iterations=0, fixed_mesh=True)
     shown = draw_skeleton(meshcat.Visualizer(window=Recorder()), solution)
     still = draw_skeleton(
-        meshcat.Visualizer(window=Recorder()),
-        trajopt.solve(lean(), max_iterations=0, fixed_mesh=True),
+        meshcat.Visualizer(window=Recorder()), trajopt.solve(lean(), max_iterations=0, fixed_mesh=True)
     )
     assert {joint - 5 for joint in shown.points} == set(still.points)
     for joint, points in still.points.items():

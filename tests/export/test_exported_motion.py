@@ -16,9 +16,8 @@ from tests.support.exported_plans import (
     swinging_arm,
 )
 from tests.support.refusals import assert_refused_in_one_line
-from trajopt.export.exported_motion import sample_cycles
+from trajopt.export.exported_motion import SingleJoints, joint_angles, sample_cycles
 from trajopt.export.links import without_jumps
-from trajopt.export.single_joints import SingleJoints, joint_angles
 
 pytestmark = pytest.mark.long
 
@@ -138,9 +137,7 @@ def test_velocities_of_links_are_derivatives_of_their_poses(kind: str) -> None:
     for column in range(len(motion.links.names)):
         before, after = (rotation_of(quaternion[row + step, column]) for step in (-1, 1))
         assert_allclose(
-            motion.links.angular_velocity[row, column],
-            pin.log3(after @ before.T) * FINE / 2,
-            atol=DIFFERENCE,
+            motion.links.angular_velocity[row, column], pin.log3(after @ before.T) * FINE / 2, atol=DIFFERENCE
         )
 
 
@@ -183,7 +180,7 @@ def test_a_fixed_link_is_a_link_and_the_world_is_none() -> None:
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({"cycles": 2}, "the solution is not periodic; allowed: --cycles 1"),
+        ({"cycles": 2}, "the solution is not periodic; allowed: `cycles=1`"),
         ({"cycles": 0}, "cycles"),
         ({"rate": 0.0}, "rate"),
         ({"rate": 1e9}, "allowed: 200000 samples"),

@@ -6,7 +6,7 @@ import numpy as np
 
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.problem import Problem
-from trajopt.robot import Robot
+from trajopt.robot import Robot, Units
 from trajopt.schedule import Phase, Schedule
 from trajopt.terms import (
     FrictionCone,
@@ -41,16 +41,15 @@ def stand(
     their natural units, as far as the feet in place let it. exact: the smooth cone of friction, not the
     pyramid.
     """
-    time = 3 * common.natural_time(robot) if duration is None else duration
+    time = 3 * Units(robot).time if duration is None else duration
     names = tuple(contact.name for contact in robot.contacts)
-    unit = robot.length / common.natural_time(robot) * np.array([1.0] * 3 + [1 / robot.length] * 3)
     return Problem(
         name="stand",
         robot=robot,
         schedule=Schedule((Phase(name="stand", duration=time, contacts=names),)),
         terrain=FlatGround(friction=friction),
         initial_q=robot.reference,
-        initial_v=feet_still(robot, unit * push),
+        initial_v=feet_still(robot, Units(robot).twist * push),
         terms=(
             *(effort_costs() if costs is None else costs),
             TorqueLimits(),

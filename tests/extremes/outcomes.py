@@ -76,11 +76,7 @@ class CellError(AssertionError):
 
 
 def assert_outcome(
-    expected: Expected,
-    make: Callable[[], Problem],
-    *,
-    hard_limit: float = HARD_LIMIT,
-    **settings: Any,
+    expected: Expected, make: Callable[[], Problem], *, hard_limit: float = HARD_LIMIT, **settings: Any
 ) -> Solution | None:
     """Build and solve in another process, hold the outcome to what is expected, return the solution.
 
@@ -169,7 +165,7 @@ def _require_sound(solution: Solution, report: CheckReport | None) -> None:
         f"success {statistics.success} with {statistics.status}",
     )
     _require(
-        statistics.advice.startswith(status.told()[:20]),
+        statistics.advice.startswith(status.explain()[:20]),
         f"advice of {statistics.status}: {statistics.advice}",
     )
     finite = all(

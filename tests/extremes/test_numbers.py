@@ -53,10 +53,7 @@ PLACES: dict[str, tuple[str, Make]] = {
     "initial_q": ("initial_q of Problem .*finite numbers", lambda x: arm_problem(initial_q=spoiled(Q, x))),
     "initial_v": ("initial_v of Problem .*finite numbers", lambda x: arm_problem(initial_v=spoiled(Q, x))),
     "goal": ("q of TerminalState .*finite numbers", lambda x: ending(TerminalState(q=spoiled(Q, x)))),
-    "rest": (
-        "q of TerminalRest .*finite numbers",
-        lambda x: ending(TerminalRest(q=spoiled(Q, x))),
-    ),
+    "rest": ("q of TerminalRest .*finite numbers", lambda x: ending(TerminalRest(q=spoiled(Q, x)))),
     "frame": (
         "position of FramePose .*finite numbers",
         lambda x: ending(FramePose(frame="tool0", position=[0.3, 0.0, x])),

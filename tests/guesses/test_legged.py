@@ -247,7 +247,7 @@ def test_soles_land_flat_and_turned_with_the_base():
     assert isinstance(posture, LeggedPosture)
     before, reference = posture.base(0.85).rotation, contact_poses(talos, talos.reference)
     for name in soles:
-        landed = posture.stances[name][-1].place
+        landed = posture.contacts.stances[name][-1].pose
         assert_allclose(landed.rotation, before @ reference[name].rotation, atol=1e-12)
         assert_allclose(landed.translation[2], 0.0, atol=1e-12)
 

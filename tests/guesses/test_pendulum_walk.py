@@ -119,7 +119,7 @@ def test_the_command_writes_plan_and_simulation(tmp_path):
     [
         (("bolt",), "stands on points"),
         (("ur5",), "fixed base"),
-        (("talos", "--steps", "1"), "steps is 1; allowed: 2 or more"),
+        (("talos", "--steps", "1"), "steps of Walk is 1; allowed: a whole number >= 2"),
         (("talos", "--speed", "nan"), "speed of commanded_walk is nan"),
         (("talos", "--turn-rate", "30", "--crouch", "0"), "at the end of its range"),
         (("talos", "--steps", "2", "--step-time", "0.01", "--crouch", "0"), "turns at"),
@@ -134,5 +134,5 @@ def test_bad_input_is_one_line(given: tuple[str, ...], message: str):
 
 
 def test_side_must_be_a_number():
-    with pytest.raises(InputError, match="side is nan"):
+    with pytest.raises(InputError, match="side of Walk is nan"):
         Walk(side=float("nan"))

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from tests.support.command_lines import invoke
-from trajopt.inspection.limbs import Limbs, find_limbs
-from trajopt.inspection.starter import guessed, starter
+from trajopt.inspection.starter import Limbs, find_limbs, guessed, starter
 from trajopt.robot.data import robot_file
 from trajopt.robot.reading import read_urdf
 from trajopt_library import robots

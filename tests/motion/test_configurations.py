@@ -1,4 +1,4 @@
-"""A solution as a motion at any time, and the local coordinates it is read in."""
+"""A solution as a motion at any time, and images of a periodic plan's samples."""
 
 from dataclasses import replace
 
@@ -7,12 +7,16 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
+from tests.support.exported_plans import GAITS, plan_to_export, swinging_arm
+from tests.support.exported_plans import ROUNDING as PLANNED
 from tests.support.models import JOINT_KINDS, hand_built, random_state
 from tests.support.problems import SCHEME_ORDERS, hop
+from tests.support.refusals import assert_refused_in_one_line
 from tests.support.solved_problems import ROUNDING, SAME_STATE, solved, solved_hop
 from tests.support.symbolic_interpolation import local_from_pinocchio
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.motion.configurations import motion_of
+from trajopt.motion.cycles import CycleImage, passes_of, periodic_image
 from trajopt.transcription.guess import initial_guess
 from trajopt.transcription.transcription import transcribe
 
@@ -70,3 +74,50 @@ def test_motion_of_a_solution_is_a_guess():
     assert_allclose(guess[form.additive], found[form.additive], atol=SAME_STATE)
     # Rates are differences over 1e-3 s, in which accelerations jump from an interval to the next.
     assert_allclose(guess[form.rates], found[form.rates], atol=5e-2)
+
+
+# A plan closes within the solver's tolerance.
+CLOSING = 1e-5
+
+
+@pytest.mark.parametrize("kind", GAITS)
+def test_images_of_many_states_are_those_of_each(kind: str) -> None:
+    plan = plan_to_export(kind)
+    image = CycleImage.of(plan)
+    q, v = image.of_states(plan.q, plan.v)
+    for row in range(0, plan.n_samples, 7):
+        own = periodic_image(
+            plan.model, plan.description.periodicity, plan.q[row], plan.v[row], image.duration
+        )
+        assert_allclose(q[row], own[0], atol=PLANNED)
+        assert_allclose(v[row], own[1], atol=PLANNED)
+        assert pin.isNormalized(plan.model, q[row], PLANNED)
+
+
+@pytest.mark.parametrize("kind", GAITS)
+def test_the_image_of_the_start_is_the_end(kind: str) -> None:
+    plan = plan_to_export(kind)
+    q, v = CycleImage.of(plan).of_states(plan.q[:1], plan.v[:1])
+    assert np.abs(pin.difference(plan.model, q[0], plan.q[-1])).max() < CLOSING
+    assert np.abs(v[0] - plan.v[-1]).max() < CLOSING
+
+
+@pytest.mark.long
+def test_a_mirrored_plan_is_gone_through_twice_a_cycle() -> None:
+    assert passes_of(plan_to_export("mirrored walk"), 3) == 6
+    assert passes_of(plan_to_export("turning trot"), 3) == 3
+    assert passes_of(swinging_arm(), 1) == 1
+    assert_refused_in_one_line(lambda: passes_of(swinging_arm(), 2), "not periodic; allowed: `cycles=1`")
+
+
+def test_two_mirror_images_are_the_motion_moved_ahead() -> None:
+    plan = plan_to_export("mirrored walk")
+    image = CycleImage.of(plan)
+    q, v = image.of_states(*image.of_states(plan.q, plan.v))
+    ahead = 2 * image.duration * np.array(plan.description.periodicity.velocity)
+    assert_allclose(q[:, :3], plan.q[:, :3] + ahead, atol=PLANNED)
+    assert_allclose(q[:, 7:], plan.q[:, 7:], atol=PLANNED)
+    assert_allclose(v, plan.v, atol=PLANNED)
+    f = image.of_contact_forces(image.of_contact_forces(plan.f))
+    assert_allclose(f, plan.f, atol=PLANNED)
+    assert_allclose(image.of_torques(image.of_torques(plan.tau)), plan.tau, atol=PLANNED)

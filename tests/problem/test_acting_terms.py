@@ -127,10 +127,7 @@ def test_one_phase_is_a_name_or_a_sequence(phases):
 
 @pytest.mark.parametrize(
     "term",
-    [
-        NormalForce(contact=FOOT, lower=1.0, during="flight"),
-        FrictionCone(contacts=(FOOT,), during="flight"),
-    ],
+    [NormalForce(contact=FOOT, lower=1.0, during="flight"), FrictionCone(contacts=(FOOT,), during="flight")],
 )
 def test_a_contact_that_is_inactive_wherever_the_term_acts_is_refused(term):
     with pytest.raises(

@@ -1,27 +1,27 @@
-"""Problem families are found in whatever packages are installed."""
+"""Families and their parameters: found in packages, robots given as objects, values as they are shown."""
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
-from click.testing import Result
 
+import trajopt
 from tests.support.command_lines import assert_refused, invoke
-from trajopt.errors import InputError, TrajoptError
+from trajopt.errors import WIDTH, InputError, TrajoptError, shown
 from trajopt.problem import catalogue
 from trajopt.problem.catalogue import families, listing
 from trajopt.problem.family import Parameter
 from trajopt.robot.catalogue import _offers
-
-
-def trajopt(*arguments: str) -> Result:
-    return invoke(*arguments)
+from trajopt_library import robots
 
 
 def test_an_empty_group_of_problems_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(catalogue, "GROUP", "trajopt.nothing")
-    assert_refused(trajopt("list"), "no problem families", "trajopt.nothing")
+    assert_refused(invoke("list"), "no problem families", "trajopt.nothing")
 
 
 def install(folder: Path, name: str, source: str, group: str = "trajopt.problems") -> None:
@@ -43,7 +43,7 @@ def families():
 def test_problems_of_another_package_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     install(tmp_path, "foreign_problems", FOREIGN_FAMILY % ("reach", "reach"))
     monkeypatch.syspath_prepend(tmp_path)
-    names = [problem["name"] for problem in json.loads(trajopt("list", "--json").stdout)["problems"]]
+    names = [problem["name"] for problem in json.loads(invoke("list", "--json").stdout)["problems"]]
     assert "reach" in names
     assert "solo12-jump" in names
     assert names == sorted(names)
@@ -54,7 +54,7 @@ def test_a_package_that_cannot_be_loaded_leaves_the_others(
 ) -> None:
     install(tmp_path, "broken_problems", "import no_such_module")
     monkeypatch.syspath_prepend(tmp_path)
-    result = trajopt("list", "--json")
+    result = invoke("list", "--json")
     assert result.exit_code == 0
     assert "solo12-jump" in result.stdout
     assert "warning: problems of 'broken_problems' cannot be loaded: " in result.stderr
@@ -64,7 +64,7 @@ def test_a_package_that_cannot_be_loaded_leaves_the_others(
 def test_a_name_offered_twice_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     install(tmp_path, "same_problems", FOREIGN_FAMILY % ("solo12-jump", "solo12-jump"))
     monkeypatch.syspath_prepend(tmp_path)
-    assert_refused(trajopt("list"), "'solo12-jump' is offered by both", "same_problems")
+    assert_refused(invoke("list"), "'solo12-jump' is offered by both", "same_problems")
 
 
 @pytest.fixture
@@ -134,3 +134,96 @@ def test_parameters_of_an_older_file_are_known_by_their_new_names() -> None:
     family = families()["solo12-jump"]
     known = family.of_file({"effort": 2.2, "distance": 0.3, "yaw": None, "lost": 1.0})
     assert known == {"torque_limit": 2.2, "distance": 0.3}
+
+
+WITH_ROBOT = sorted(name for name, family in families().items() if family.takes_robot)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", WITH_ROBOT)
+def test_a_robot_does_what_its_name_does(name: str) -> None:
+    named = trajopt.load(name)
+    given = trajopt.load(name, robot=robots.load(families()[name].robot))
+    assert [type(term) for term in given.terms] == [type(term) for term in named.terms]
+    assert given.schedule.names == named.schedule.names
+    np.testing.assert_array_equal(given.initial_q, named.initial_q)
+    others = [{k: v for k, v in each.parameters.items() if k != "robot"} for each in (given, named)]
+    assert others[0] == others[1]
+
+
+def test_a_robot_of_ones_own_is_the_problems() -> None:
+    strong = robots.load("ur5")
+    strong = replace(strong, name="strong", torque_limit=2 * strong.torque_limit)
+    problem = trajopt.load("arm-reach", robot=strong)
+    assert problem.robot is strong
+    assert problem.parameters["robot"] == "strong (a Robot)"
+
+
+def test_what_a_solution_says_of_such_a_robot_is_not_looked_up() -> None:
+    problem = trajopt.load("arm-reach", robot=robots.load("ur5"))
+    with pytest.raises(InputError, match=r"names the robot 'ur5 \(a Robot\)'.*not run"):
+        families()["arm-reach"].of_file(problem.parameters)
+
+
+def test_a_robot_that_does_not_suit_is_named() -> None:
+    with pytest.raises(InputError, match="'go2' has no tool: it is not an arm"):
+        trajopt.load("arm-reach", robot=robots.load("go2"))
+    with pytest.raises(InputError, match="no parameter 'robot'"):
+        trajopt.load("solo12-jump", robot=robots.load("solo12"))
+    with pytest.raises(InputError, match="parameter robot=3; allowed: a name"):
+        trajopt.load("arm-reach", robot=3)
+
+
+def test_other_objects_are_named_by_their_kind() -> None:
+    with pytest.raises(InputError, match="parameter robot=a Model; allowed"):
+        trajopt.load("arm-reach", robot=robots.load("ur5").model)
+    with pytest.raises(InputError, match="parameter duration=a Robot is not a number"):
+        trajopt.load("arm-reach", duration=robots.load("ur5"))
+
+
+def test_kind_and_tool_of_a_robot_are_those_of_its_file() -> None:
+    for name in robots.names("arm"):
+        robot = robots.load(name)
+        assert robots.kind(robot) == "arm"
+        assert robot.model.existFrame(robots.tool_frame(robot))
+    assert robots.kind(robots.load("talos")) == "biped"
+
+
+class Loud:
+    def __repr__(self) -> str:
+        raise RuntimeError
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (1.5, "1.5"),
+        ("a b", "'a b'"),
+        (None, "None"),
+        ([1, (2,), "x"], "[1, (2,), 'x']"),
+        ({"a": Loud()}, "{'a': a Loud}"),
+        (np.float64(2.0), "2.0"),
+        (np.array([1.0, np.nan]), "[1.0, nan]"),
+        (np.zeros((20, 3)), "an array of shape (20, 3)"),
+        (np.zeros(0), "an array of shape (0,)"),
+        (Loud(), "a Loud"),
+        (Loud, "the class Loud"),
+        (Path("a/b"), "'a/b'"),
+        (len, "a builtin_function_or_method"),
+        (list(range(20)), "[0, 1, 2, 3, 4, 5, 6, 7, ...]"),
+    ],
+)
+def test_values_are_shown(value: Any, text: str) -> None:
+    assert shown(value) == text
+
+
+def test_a_robot_is_a_robot() -> None:
+    assert shown([robots.load("ur5")]) == "[a Robot]"
+
+
+def test_long_and_endless_values_are_cut() -> None:
+    endless: list[Any] = []
+    endless.append(endless)
+    assert shown(endless) == "[[[[...]]]]"
+    assert len(shown("x" * 1000)) == WIDTH
+    assert "\n" not in shown("a\nb")

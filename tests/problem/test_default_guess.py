@@ -10,16 +10,22 @@ from numpy.testing import assert_allclose
 import trajopt
 from trajopt import Phase, Problem, Schedule, end_of, terms
 from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
-from trajopt.problem.guessing import default_guess
+from trajopt.problem.guessing import PosturePath, default_guess
 from trajopt.problem.periodicity import Periodicity
+from trajopt.robot import edge_contacts, with_edges
 from trajopt.robot.kinematics import contact_positions, frame_pose
 from trajopt.robot.robot import Robot
-from trajopt.schedule import footholds_at
+from trajopt.schedule import footholds_at, middle_of
 from trajopt.terrain import Ramp, SmoothTerrain
 from trajopt_library import robots
+from trajopt_library.problems.bipeds import biped
 
 # Of inverse kinematics, m.
 REACHED = 1e-6
+# Of heels that land below the path of postures, which bends the legs along joint angles, rad and m.
+LANDED = 1e-3
+# Central differences over this step, s, of polynomials of order one.
+STEP, DIFFERENCE = 1e-5, 1e-8
 FORWARD = np.array([0.06, 0.0, 0.0])
 TIMES = np.linspace(0.0, 1.0, 21)
 EFFORT = terms.TorqueCost(weight=1.0)
@@ -142,6 +148,32 @@ def test_a_landing_without_foothold_is_on_the_ground_below() -> None:
         assert z - radius == pytest.approx(float(hill.height(x, y)), abs=1e-3)
 
 
+def test_a_frame_is_raised_to_its_height_in_mid_phase_and_heels_turn_about_standing_toes() -> None:
+    robot = with_edges(biped("g1"))
+    toes, corners = [], [contact.name for contact in robot.contacts]
+    for sole in ("left", "right"):
+        toes += edge_contacts(sole, "toe")
+    phases = (
+        Phase(name="flat", duration=0.5, contacts=corners),
+        Phase(name="toes", duration=0.5, contacts=toes),
+        Phase(name="down", duration=0.5, contacts=corners),
+    )
+    base, height = str(robot.model.names[1]), float(robot.reference[2]) + 0.03
+    goals = (
+        terms.FrameHeight(frame=base, height=height, at=middle_of("toes")),
+        terms.TerminalState(q=robot.reference),
+    )
+    guess = default_guess(robot, Schedule(phases), goals)
+    assert guess(0.75)[2] == pytest.approx(height, abs=REACHED)
+    assert_allclose(guess(1.5), robot.reference, atol=LANDED)
+    here = contact_positions(robot, robot.reference)
+    for name, place in contact_positions(robot, guess(0.75)).items():
+        if name in toes:
+            assert_allclose(place, here[name], atol=REACHED)
+        else:
+            assert place[2] > here[name][2] + 0.005
+
+
 def test_a_periodic_motion_ends_at_the_image_of_its_start() -> None:
     robot = robots.load("solo12")
     feet = tuple(contact.name for contact in robot.contacts)
@@ -154,6 +186,18 @@ def test_a_periodic_motion_ends_at_the_image_of_its_start() -> None:
         periodicity=Periodicity(velocity=(0.5, 0.0, 0.0)),
     )
     assert_allclose(problem.guess_at(0.6)[:3] - problem.guess_at(0.0)[:3], [0.3, 0.0, 0.0], atol=REACHED)
+
+
+def test_posture_path_rests_at_every_posture_and_stays_at_the_last() -> None:
+    model = robots.load("ur5").model
+    start, middle, end = np.random.default_rng(0).uniform(-1.0, 1.0, (3, model.nq))
+    path = PosturePath(model=model, postures=(start, middle, end), durations=(2.0, 1.0))
+    half = (start + middle) / 2
+    for t, q in ((-1.0, start), (0.0, start), (1.0, half), (2.0, middle), (3.0, end), (4.0, end)):
+        assert_allclose(path(t), q, atol=1e-15)
+    for t, fastest in ((0.0, 0.0), (1.0, 1.875 / 2.0), (2.0, 0.0), (3.0, 0.0)):
+        rate = (path(t + STEP) - path(t - STEP)) / (2 * STEP)
+        assert_allclose(rate, fastest * (middle - start), atol=DIFFERENCE)
 
 
 def test_an_arm_finds_its_way_without_a_guess() -> None:

@@ -9,6 +9,7 @@ import pinocchio as pin
 import pytest
 
 import trajopt
+from tests.support.refusals import refused
 from trajopt.certify.report import AT_POINTS
 from trajopt.errors import InputError
 from trajopt.robot.kinematics import frame_pose
@@ -171,9 +172,8 @@ def test_the_check_notices_friction_along_the_sliding():
     ],
 )
 def test_what_an_arm_cannot_do_is_refused_in_one_line(module, values, message):
-    with pytest.raises(InputError, match=message) as refused:
+    with refused(message):
         module.FAMILY.load(values)
-    assert "\n" not in str(refused.value)
 
 
 LINK = (
@@ -218,9 +218,8 @@ GOAL = {"x": 0.3, "y": 0.2, "z": 0.6}
     ],
 )
 def test_an_arm_with_few_joints_is_told_that_a_pose_has_six_rows(family, values, three_joints):
-    with pytest.raises(InputError, match=r"six rows.*'three' 3 joints.*orientation=free") as refused:
+    with refused(r"six rows.*'three' 3 joints.*orientation=free"):
         trajopt.load(family, robot=three_joints, **values)
-    assert "\n" not in str(refused.value)
 
 
 def test_an_arm_with_few_joints_reaches_a_place(three_joints):

@@ -25,18 +25,6 @@ def test_only_modules_with_a_family_are_problems():
     assert "solo12-jump" in problems.families()
 
 
-def test_posture_path_rests_at_every_posture_and_stays_at_the_last():
-    model = robots.load("ur5").model
-    start, middle, end = np.random.default_rng(0).uniform(-1.0, 1.0, (3, model.nq))
-    path = common.PosturePath(model=model, postures=(start, middle, end), durations=(2.0, 1.0))
-    half = (start + middle) / 2
-    for t, q in ((-1.0, start), (0.0, start), (1.0, half), (2.0, middle), (3.0, end), (4.0, end)):
-        assert_allclose(path(t), q, atol=1e-15)
-    for t in (0.0, 2.0, 3.0):
-        assert_allclose(rate(path, t), 0.0, atol=DIFFERENCE)
-    assert_allclose(rate(path, 1.0), 1.875 / 2.0 * (middle - start), atol=DIFFERENCE)
-
-
 def test_hermite_cubic_has_the_values_and_rates_of_its_ends():
     start, start_rate, end, end_rate = np.random.default_rng(0).normal(size=(4, 3))
 

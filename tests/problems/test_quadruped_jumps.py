@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-import trajopt
+from tests.support.solved_problems import motion
 from trajopt.certify.check import check
 from trajopt.certify.report import AT_POINTS
 from trajopt.collision import robot_shapes
@@ -150,7 +150,7 @@ def test_robot_beside_a_box_stays_clear_of_it_with_its_base_sunk(kind, posture):
 @pytest.mark.slow
 @pytest.mark.parametrize(("robot", "height"), [("go2", 0.2), ("go2", 0.25), ("solo12", 0.15)])
 def test_leap_onto_a_high_box_holds_at_any_time(robot, height):
-    solution = trajopt.solve(problems.load("quadruped-box-up", robot=robot, height=height))
+    solution = motion("quadruped-box-up", robot=robot, height=height)
     assert solution.success, solution.statistics.advice
 
 

@@ -9,6 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import trajopt
+from tests.support.refusals import refused
 from trajopt.certify.report import AT_POINTS
 from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.errors import InputError
@@ -244,9 +245,8 @@ def test_any_ground_can_be_planned_over() -> None:
     ],
 )
 def test_bad_values_are_refused_in_one_line(name: str, values: dict[str, object], message: str) -> None:
-    with pytest.raises(InputError, match=message) as caught:
+    with refused(message):
         problems.load(name, **values)
-    assert "\n" not in str(caught.value)
 
 
 def test_gaits_with_flights_and_starts_over_holes_are_refused() -> None:

@@ -32,7 +32,7 @@ from trajopt.robot.units import Units
 from trajopt.solution.solution import Solution
 from trajopt.terms import Context
 from trajopt_library import problems, robots
-from trajopt_library.problems.biped_walk import talos_legs
+from trajopt_library.problems.bipeds import biped
 
 # Sums in another order.
 ROUNDING = 1e-10
@@ -69,7 +69,7 @@ def composite(robot: Robot) -> tuple[float, np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize(
-    "robot", [robots.load("solo12"), talos_legs(), hopper("surface")], ids=lambda r: r.name
+    "robot", [robots.load("solo12"), biped("talos"), hopper("surface")], ids=lambda r: r.name
 )
 def test_mass_properties_are_the_sum_over_links_and_weight_and_length_stay(robot: Robot) -> None:
     body, one = rigid_body(robot), body_robot(robot)
@@ -93,7 +93,7 @@ def test_a_tilted_reference_gives_the_same_body() -> None:
     assert_allclose([turned.hips[n] for n in body.hips], [body.hips[n] for n in body.hips], atol=ROUNDING)
 
 
-@pytest.mark.parametrize("robot", [robots.load("solo12"), talos_legs()], ids=lambda r: r.name)
+@pytest.mark.parametrize("robot", [robots.load("solo12"), biped("talos")], ids=lambda r: r.name)
 def test_rows_are_newton_euler_of_numeric_pinocchio(robot: Robot) -> None:
     generator = np.random.default_rng(3)
     one, contacts = body_robot(robot), robot.contacts
@@ -119,7 +119,7 @@ def test_rows_are_newton_euler_of_numeric_pinocchio(robot: Robot) -> None:
 
 
 def test_legs_reach_further_than_they_do_in_the_reference_and_no_further_than_their_links() -> None:
-    for robot in (robots.load("solo12"), talos_legs()):
+    for robot in (robots.load("solo12"), biped("talos")):
         body, data = rigid_body(robot), robot.model.createData()
         pin.framesForwardKinematics(robot.model, data, robot.reference)
         for contact in robot.contacts:

@@ -10,6 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import trajopt
+from tests.support.refusals import refused
 from trajopt.errors import InputError
 from trajopt.robot import DhJoint, frame_pose, robot_from_dh
 from trajopt_library import robots
@@ -146,9 +147,8 @@ def test_limits_are_the_robots() -> None:
     ],
 )
 def test_what_is_no_arm_is_one_line(joints: list[Any], options: dict[str, Any], said: str) -> None:
-    with pytest.raises(InputError, match=said) as refused:
+    with refused(said):
         robot_from_dh(joints, **options)
-    assert "\n" not in str(refused.value)
 
 
 def test_wrong_parameters_are_one_line() -> None:

@@ -108,7 +108,7 @@ def test_drives_that_cannot_be_are_refused(change, message):
 @pytest.mark.parametrize("name", ["voltage", "resistance", "torque_constant", "back_emf_constant"])
 def test_motors_that_cannot_be_are_refused(name):
     numbers = {"gear_ratio": 1.0, "voltage": 24.0, "resistance": 1.0, "torque_constant": 0.1}
-    with pytest.raises(InputError, match=f"{name} of a motor is -1"):
+    with pytest.raises(InputError, match=f"{name} of Drive.from_motor is -1"):
         Drive.from_motor(**{**numbers, name: -1.0})
 
 

@@ -82,7 +82,7 @@ def test_independent_rates_split_forces_by_virtual_work() -> None:
     assert actuation.rates(v) @ actuation.inputs(force) == pytest.approx(force @ v)
     assert actuation.balanced(force).size == 0
     made = actuation.force(random.normal(size=5))
-    assert_allclose(actuation.unmade(made, actuation.inputs(made)), 0.0, atol=1e-12)
+    assert_allclose(actuation.residual_force(made, actuation.inputs(made)), 0.0, atol=1e-12)
 
 
 def test_a_motion_is_solved_saved_checked_and_follows_at_any_time(tmp_path: Path) -> None:

@@ -26,8 +26,7 @@ FEATURES = {
         "<worldbody>", '<option gravity="1 2 -3"/><worldbody>'
     ),
     "free tree behind another": FREE.replace(
-        "<worldbody>",
-        '<worldbody><body name="door"><joint name="jd"/><geom size="0.1" pos="1 0 0"/></body>',
+        "<worldbody>", '<worldbody><body name="door"><joint name="jd"/><geom size="0.1" pos="1 0 0"/></body>'
     ),
     "ball": arm(second='<joint name="jb" type="ball" pos="0.1 0 0"/>'),
     "slides": arm(

@@ -280,11 +280,7 @@ def test_statics_of_a_velocity_source_hold_in_a_mode():
     stance = Schedule((problem.schedule.phases[0],))
     terms = (VelocityCost(weight=1.0), PostureCost(weight=1.0), FrictionCone())
     still = replace(
-        problem,
-        schedule=stance,
-        modes={"stance": problem.modes["stance"]},
-        terms=terms,
-        actuation="velocity",
+        problem, schedule=stance, modes={"stance": problem.modes["stance"]}, terms=terms, actuation="velocity"
     )
     solution = trajopt.solve(still, intervals=6)
     assert solution.converged

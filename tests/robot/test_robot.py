@@ -7,6 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from tests.support.refusals import refused
 from trajopt.errors import InputError
 from trajopt.robot.contact import Contact
 from trajopt.robot.data import VisualSource, robot_file
@@ -215,10 +216,7 @@ def test_arrays_of_a_robot_are_read_only():
         ),
         ({"contacts": (Contact(frame="tool_0"),)}, "close matches: tool0"),
         ({"base": "freeflyer"}, "has a fixed root joint"),
-        (
-            {"base": "floating"},
-            "base of Robot .* is .floating.; allowed: freeflyer, virtual, planar, fixed",
-        ),
+        ({"base": "floating"}, "base of Robot .* is .floating.; allowed: freeflyer, virtual, planar, fixed"),
         (
             {"torque_limit": np.full(6, -1.0)},
             "torque_limit of joint 'shoulder_pan_joint' of 'ur5' is -1: negative or NaN",
@@ -257,9 +255,8 @@ def test_missing_and_malformed_files_are_refused_in_one_line(tmp_path):
     bad = tmp_path / "bad.xml"
     bad.write_text("no robot at all")
     for read in (Robot.from_urdf, Robot.from_mjcf):
-        with pytest.raises(InputError, match="not a readable") as caught:
+        with refused("not a readable"):
             read(bad)
-        assert "\n" not in str(caught.value)
 
 
 def test_urdf_that_is_no_xml_is_told_by_line_and_column_and_nothing_else_is_printed(tmp_path, capfd):

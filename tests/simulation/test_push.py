@@ -27,7 +27,7 @@ from trajopt.simulation.push import (
 )
 from trajopt.simulation.settings import Impulse
 from trajopt.simulation.simulate import simulate
-from trajopt.view.plotting.pushes import write_push_plot
+from trajopt.view.plotting.writing import write_push_plot
 from trajopt_library import robots
 
 # Relative accuracy of a search.

@@ -351,7 +351,7 @@ def test_half_a_cycle_is_followed_by_its_mirror_image():
             "mass_scale of SimulationSettings is nan; allowed: a finite number from 1e-06 to 1e+06",
         ),
         ({"cycles": 0}, "cycles of SimulationSettings is 0; allowed: a whole number >= 1"),
-        ({"cycles": 2}, "the solution is not periodic; allowed: --cycles 1"),
+        ({"cycles": 2}, "the solution is not periodic; allowed: `cycles=1`"),
         (
             {"gain": 2.0},
             "a simulation has no setting gain; allowed: timestep, control_rate, kp, kd, friction_scale, "

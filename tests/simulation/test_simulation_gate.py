@@ -13,17 +13,14 @@ from trajopt import Solution
 from trajopt.cli.commands import main
 from trajopt.errors import InputError
 from trajopt.motion.configurations import geodesic_configurations
-from trajopt.study.cluster import local_or
+from trajopt.study.records import versions
 from trajopt.study.suite import data
 from trajopt.study.suite.cases import Case
-from trajopt.study.suite.outcome import Outcome
-from trajopt.study.suite.physics import FELL, OFF, TRACKED, WORDS, Physics
-from trajopt.study.suite.pool import run_all
-from trajopt.study.suite.records import SIMULATED, SuiteRecords
-from trajopt.study.suite.run import measure_case
-from trajopt.study.suite.settings import SuiteSettings
+from trajopt.study.suite.engine import SIMULATED, SuiteRecords, run_suite
+from trajopt.study.suite.outcome import FELL, OFF, TRACKED, WORDS, Outcome, Physics
+from trajopt.study.suite.run import SuiteSettings, measure_case
 from trajopt.study.suite.table import outcome_line, outcome_table, summary
-from trajopt.study.suite.versions import versions
+from trajopt.study.tasks import open_workers
 
 pytest.importorskip("mujoco")
 
@@ -37,8 +34,8 @@ ROBOTS = ("solo12", "go2", "anymal_c")
 
 def gated(problem: str, robot: str, folder: Path) -> Outcome:
     case = Case(problem=problem, robot=robot, takes_robot=True)
-    with local_or(None, 1) as cluster:
-        (outcome,) = run_all([case], SETTINGS, cluster=cluster, records=SuiteRecords(folder, SETTINGS, {}))
+    with open_workers(jobs=1) as workers:
+        (outcome,) = run_suite([case], SETTINGS, SuiteRecords(folder, SETTINGS, {}), workers)
     return outcome
 
 

@@ -8,10 +8,14 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from tests.support.refusals import assert_refused_in_one_line
+from tests.support.replay_pages import hopping
 from tests.support.synthetic_motions import arm_motion, sampled, standing, tumbling_flight, with_meta
 from trajopt.errors import InputError, SolutionFileError
 from trajopt.motion.configurations import geodesic_configurations
 from trajopt.solution.arrays import OTHERS, REQUESTS, SAMPLED
+from trajopt.solution.input import require_motion, solutions_of
+from trajopt.solution.output import replacing_folder
 from trajopt.solution.solution import Solution
 from trajopt_library import robots
 
@@ -191,7 +195,10 @@ def test_foreign_file_is_refused(saved, write, message):
     ("changes", "message"),
     [
         ({"version": 2}, "of version 2; version 1"),
-        ({"friction": [0.5]}, "0 contact_frames, 0 contact_kinds, 1 friction"),
+        (
+            {"friction": [0.5]},
+            "friction of meta is not a list with an entry for each of the 0 contact_frames",
+        ),
         (
             {
                 "contact_frames": ["paw"],
@@ -202,14 +209,14 @@ def test_foreign_file_is_refused(saved, write, message):
             },
             r"'f' has shape",
         ),
-        ({"contact_names": ["paw"]}, "contact_names .* a name for each of the 0 contact_frames"),
+        ({"contact_names": ["paw"]}, "contact_names .* an entry for each of the 0 contact_frames"),
         ({"effort_limit": [1.0]}, "effort_limit of meta has 1 entries, expected 6"),
         ({"velocity_limit": "fast"}, "velocity_limit of meta is not null"),
         ({"success": "yes"}, "success of meta"),
         ({"contact_sizes": [[0.1, 0.1]]}, "contact_sizes of meta"),
         ({"terrain": "drop"}, "meta lacks 'terrain'"),
         ({"parameters": 7}, "parameters of meta is not an object"),
-        ({"versions": 1}, "versions of meta is not an object"),
+        ({"versions": 1}, "versions of meta is 1; allowed: a mapping"),
         ({"tolerance": None}, "tolerance of meta is not"),
         ({"phase_names": [1]}, "phase_names of meta is not a list of texts"),
         ({"phase_names": ["one", "two"]}, "phase_names of meta is not a list of 1 texts"),
@@ -280,3 +287,77 @@ def test_natural_units_are_stated_and_are_the_models(saved, arm):
 
 def test_every_array_of_the_format_is_a_field():
     assert {*SAMPLED, *OTHERS, "description", "statistics", "model"} == set(Solution.__dataclass_fields__)
+
+
+@pytest.fixture(scope="module")
+def hop() -> Solution:
+    return hopping()
+
+
+def test_one_solution_its_file_and_several_are_taken(hop, tmp_path):
+    hop.save(tmp_path / "hop.npz")
+    assert solutions_of(hop) == [hop]
+    assert [one.n_samples for one in solutions_of([hop, tmp_path / "hop.npz"])] == [hop.n_samples] * 2
+
+
+def test_what_is_no_solution_is_named():
+    with pytest.raises(InputError, match=r"3.5 is not a solution; allowed: a Solution or the path"):
+        solutions_of(3.5)
+
+
+def test_sample_without_a_rotation_is_named(hop):
+    q = hop.q.copy()
+    q[4, 3:7] = 0.0
+    with pytest.raises(InputError, match="holds no rotation at sample 4; allowed: unit norms"):
+        require_motion(replace(hop, q=q))
+    q[4] = hop.q[4] * (1 + 1e-6)
+    assert require_motion(replace(hop, q=q)).n_samples == hop.n_samples
+
+
+MARKER = "meta/info.json"
+
+
+def write(target: Path, text: str) -> None:
+    with replacing_folder(target, MARKER) as unfinished:
+        (unfinished / "meta").mkdir()
+        (unfinished / MARKER).write_text(text)
+
+
+def test_a_folder_is_made_and_replaced_by_a_later_one(tmp_path: Path) -> None:
+    target = tmp_path / "out"
+    target.mkdir()
+    for text in ("first", "second"):
+        write(target, text)
+        assert (target / MARKER).read_text() == text
+        (target / "left over").touch()
+        assert [path.name for path in tmp_path.iterdir()] == ["out"]
+    write(target, "third")
+    assert [path.name for path in target.iterdir()] == ["meta"]
+
+
+def test_an_error_within_leaves_the_earlier_folder(tmp_path: Path) -> None:
+    def fail() -> None:
+        with replacing_folder(tmp_path / "out", MARKER) as unfinished:
+            (unfinished / "half").touch()
+            raise KeyError
+
+    write(tmp_path / "out", "first")
+    with pytest.raises(KeyError):
+        fail()
+    assert (tmp_path / "out" / MARKER).read_text() == "first"
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_other_folders_and_files_are_not_replaced(tmp_path: Path) -> None:
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "diary.txt").write_text("dear")
+    (tmp_path / "file").write_text("text")
+    for name, words in (
+        ("other", "it is there and is no such export; allowed: another name"),
+        ("file", "it is not a folder"),
+        ("no/out", "does not exist"),
+    ):
+        assert_refused_in_one_line(lambda name=name: write(tmp_path / name, "new"), words)
+    assert (tmp_path / "other" / "diary.txt").read_text() == "dear"
+    assert (tmp_path / "file").read_text() == "text"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "other"]

@@ -153,19 +153,11 @@ def test_text_is_not_read_where_there_are_arrays(content):
     ("member", "data", "words"),
     [
         ("t.npy", b"no array", "is truncated or damaged"),
-        (
-            "t.npy",
-            headed("<f8", "(2251799813685248,)"),
-            "holds 0 bytes",
-        ),
+        ("t.npy", headed("<f8", "(2251799813685248,)"), "holds 0 bytes"),
         ("t.npy", headed("|O", "(3,)"), "'t' is of type object"),
         ("t.npy", headed("<f8", "("), "is truncated or damaged"),
         ("t.npy", headed("<f8", "(" * 900), "is truncated or damaged"),
-        (
-            "meta.npy",
-            headed("<U1", "()") + b"\xff" * 4,
-            "not a text",
-        ),
+        ("meta.npy", headed("<U1", "()") + b"\xff" * 4, "not a text"),
     ],
 )
 def test_members_that_are_no_arrays_are_refused(member, data, words, content):

@@ -1,4 +1,4 @@
-// Threads that wait for work: what they throw in a run is thrown by that run, once; see test_engine_robustness.py.
+// Threads that wait for work: what they throw in a run is thrown by that run, once; see test_engine_solvers.py.
 #include "../../trajopt/solvers/engine/team.hpp"
 
 #include <atomic>

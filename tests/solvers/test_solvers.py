@@ -1,4 +1,4 @@
-"""Solvers on transcribed problems: IPOPT and CasADi's own IPOPT agree; stops, options, threads."""
+"""Solvers on transcribed problems: agreement with CasADi, stops, options, threads, the elastic problem."""
 
 from collections.abc import Callable
 
@@ -7,21 +7,21 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from tests.support.problems import hop, lean, reach
+from tests.support.problems import REACH, REACH_TIME, hop, inertia, lean, limited_reach, reach
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
 from trajopt.solvers.drivers import SOLVERS, run_solver
+from trajopt.solvers.elastic import CLEAR_VIOLATION, REMOVABLE_VIOLATION, least_violation
 from trajopt.solvers.ipopt import IPOPT_OPTIONS
 from trajopt.solvers.result import StoppingCriteria
 from trajopt.solvers.status import Status
 from trajopt.solving.solving import PreparedProblem, prepare
+from trajopt.solving.stalling import DECREASE, DUAL_LIMIT, START, TAIL, VIOLATION, WINDOW, is_stalled
 from trajopt.terms import TorqueCost
+from trajopt.transcription.guess import perturbed
 from trajopt.transcription.transcription import Transcription
+from trajopt.transcription.violations import row_violations
 
-pytestmark = pytest.mark.long
-
-# Two solvers that stop at a tolerance of 1e-6 agree on the objective to this.
-AGREEMENT = 1e-4
 # The same solver on the same functions, at a tolerance of 1e-9.
 SAME_OPTIMUM = 1e-6
 
@@ -50,11 +50,13 @@ def evaluations(made: PreparedProblem) -> list[np.ndarray]:
     ]
 
 
+@pytest.mark.long
 def test_two_threads_give_the_numbers_of_one_to_the_last_bit():
     for one, two in zip(evaluations(prepared()), evaluations(prepared(threads=2)), strict=True):
         assert_array_equal(one, two)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_callback_that_says_stop_returns_the_iterate_of_that_moment(solver):
     made, seen = prepared(), []
@@ -70,6 +72,7 @@ def test_callback_that_says_stop_returns_the_iterate_of_that_moment(solver):
     assert made.nlp.engine.f(result.x) == pytest.approx(seen[-1]["objective"])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_exception_in_a_callback_reaches_the_caller(solver):
     made = prepared()
@@ -81,6 +84,7 @@ def test_exception_in_a_callback_reaches_the_caller(solver):
         run_solver(made.nlp, made.guess, solver, StoppingCriteria(), {}, fail)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("option", [{"no_such_option": 1}, {"max_iter": "many"}])
 def test_unknown_option_or_value_is_refused_by_name(solver, option):
@@ -89,6 +93,7 @@ def test_unknown_option_or_value_is_refused_by_name(solver, option):
         run_solver(made.nlp, made.guess, solver, StoppingCriteria(), option, go_on)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_iteration_limit_is_a_status(solver):
     made = prepared()
@@ -125,6 +130,7 @@ def swing_up() -> Problem:
     return reach(gravity=True, terms=(TorqueCost(weight=1.0),))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("build", [swing_up, lean])
 def test_optimum_is_that_of_casadi_on_the_same_functions(build):
     made = prepare(build(), transcription="legendre:2", intervals=4)
@@ -138,3 +144,99 @@ def test_optimum_is_that_of_casadi_on_the_same_functions(build):
     result = run_solver(made.nlp, made.guess, "ipopt", StoppingCriteria(tolerance=1e-9), {}, go_on)
     assert result.status is Status.SOLVED
     assert result.objective == pytest.approx(float(expected["f"]), rel=SAME_OPTIMUM)
+
+
+SMALL = 1.0
+
+
+def test_rows_that_stay_violated_under_growing_multipliers_are_no_progress():
+    n = START + 1
+    assert is_stalled([1.0] * n, [SMALL] * (n - TAIL) + [2 * DUAL_LIMIT] * TAIL)
+
+
+def test_multipliers_must_be_large_in_all_of_the_last_iterations():
+    n = START + 1
+    assert not is_stalled([1.0] * n, [SMALL] * (n - TAIL) + [2 * DUAL_LIMIT] * (TAIL - 1) + [SMALL])
+
+
+def test_few_iterations_give_no_verdict():
+    assert not is_stalled([1.0] * START, [2 * DUAL_LIMIT] * START)
+    assert not is_stalled([], [])
+
+
+def test_rows_that_hold_are_feasible_whatever_the_multipliers():
+    assert not is_stalled([1.0] * 30 + [VIOLATION], [2 * DUAL_LIMIT] * 31)
+
+
+@pytest.mark.parametrize(("after", "stalled"), [(0.9 * DECREASE, False), (1.1 * DECREASE, True)])
+def test_the_best_violation_must_fall_by_a_factor(after, stalled):
+    slowly = [1.0] + [after] * WINDOW
+    assert is_stalled(slowly, [SMALL] * len(slowly)) is stalled
+
+
+def test_an_increase_after_a_better_iterate_does_not_count_as_a_fall():
+    rising = [0.1] + [1.0] * WINDOW
+    assert is_stalled(rising, [SMALL] * len(rising))
+
+
+LIMITS = {"max_iterations": 200, "max_time": 60.0}
+# Least torque for the reach: full torque one way, then the other.
+LEAST_TORQUE = 4 * inertia() * REACH / REACH_TIME**2
+# What the barrier of the elastic problem leaves of each row.
+BARRIER = 1e-3
+
+
+def test_feasible_point_is_found_from_a_start_far_away():
+    prepared = prepare(hop())
+    start = perturbed(prepared.transcription, prepared.guess, 1, 0.3)
+    assert row_violations(prepared.nlp, start).max() > CLEAR_VIOLATION
+    found = least_violation(prepared.nlp, start, go_on, **LIMITS)
+    assert found.feasible
+    assert not found.infeasible
+    assert row_violations(prepared.nlp, found.x).max() <= REMOVABLE_VIOLATION
+
+
+@pytest.mark.parametrize("share", [0.5, 0.8])
+def test_torque_below_the_least_is_certified_and_a_larger_one_is_not(share):
+    prepared = prepare(limited_reach(share * LEAST_TORQUE))
+    found = least_violation(prepared.nlp, prepared.guess, go_on, **LIMITS)
+    assert found.infeasible
+    assert not found.feasible
+    enough = prepare(limited_reach(1.5 * LEAST_TORQUE))
+    assert least_violation(enough.nlp, enough.guess, go_on, **LIMITS).feasible
+
+
+def test_rows_give_way_by_what_they_lack_and_prices_bound_the_multipliers():
+    prepared = prepare(limited_reach(0.5 * LEAST_TORQUE))
+    found = least_violation(prepared.nlp, prepared.guess, go_on, **LIMITS)
+    missed = row_violations(prepared.nlp, found.x)[: prepared.transcription.n_rows]
+    assert np.all(missed <= found.gives + BARRIER)
+    rows = found.weights[: len(missed)]
+    assert np.abs(rows).max() <= 1 + BARRIER
+    assert np.abs(rows).max() == pytest.approx(1, abs=BARRIER)
+
+
+def test_limits_and_the_callback_stop_it_without_a_verdict():
+    prepared = prepare(limited_reach(0.5 * LEAST_TORQUE))
+    short = least_violation(prepared.nlp, prepared.guess, go_on, max_iterations=3, max_time=60.0)
+    assert short.iterations <= 3
+    assert not short.stopped
+    stopped = least_violation(
+        prepared.nlp, prepared.guess, lambda figures, _: figures["iteration"] < 2, **LIMITS
+    )
+    assert stopped.stopped
+    for found in (short, stopped):
+        assert not found.infeasible
+        assert not found.feasible
+
+
+def test_variables_that_a_callback_reads_are_those_of_the_problem():
+    prepared = prepare(limited_reach(0.5 * LEAST_TORQUE))
+    sizes = set()
+
+    def look(_, read):
+        sizes.add(len(read()))
+        return True
+
+    least_violation(prepared.nlp, prepared.guess, look, **LIMITS)
+    assert sizes == {len(prepared.guess)}

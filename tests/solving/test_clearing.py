@@ -12,13 +12,13 @@ from tests.support.swings import BALL, END, FAR, MARGIN, POLE, START, avoided, p
 from trajopt.certify.check import check
 from trajopt.errors import InputError
 from trajopt.motion.configurations import SolutionMotion
+from trajopt.problem import PosturePath
 from trajopt.problem.problem import Problem
 from trajopt.robot.robot import Robot
 from trajopt.solution.solution import Solution
-from trajopt.solving.exchange import TOO_NEAR, Exchange
+from trajopt.solving.exchange import GAP_SLACK, Exchange
 from trajopt.solving.graded import solve as solve_graded
 from trajopt.solving.solving import solve
-from trajopt_library.problems.common import PosturePath
 
 pytestmark = pytest.mark.long
 
@@ -47,7 +47,7 @@ def test_motion_through_the_ball_is_led_past_it_at_the_margin():
     assert solution.success
     report = check(solution)
     assert report.ok, report.failures()
-    assert -TOO_NEAR < least(problem, solution) < BETWEEN
+    assert -GAP_SLACK < least(problem, solution) < BETWEEN
     assert report.obstacle_distance == pytest.approx(MARGIN, abs=BETWEEN)
     assert report.self_distance is None
 
@@ -58,7 +58,7 @@ def test_pole_is_not_passed_between_points():
     assert least(problem, slipped) < -0.1
     solution = solve_graded(problem, fixed_mesh=True)
     assert solution.success
-    assert least(problem, solution) > -TOO_NEAR
+    assert least(problem, solution) > -GAP_SLACK
     assert check(solution).ok
 
 
@@ -69,7 +69,7 @@ def test_obstacle_in_the_way_is_passed_on_the_side_of_the_guess(side):
     problem = past(swing(guess=guess), POLE)
     solution = solve_graded(problem, fixed_mesh=True)
     assert solution.success
-    assert least(problem, solution) > -TOO_NEAR
+    assert least(problem, solution) > -GAP_SLACK
     elbow = solution.q[:, 1]
     assert side * elbow[np.abs(elbow).argmax()] > 0.3
 
@@ -82,10 +82,10 @@ def test_links_keep_clear_of_each_other():
         self_collision=True,
         margin=0.028,
     )
-    assert least(problem, solve(problem)) < -5 * TOO_NEAR
+    assert least(problem, solve(problem)) < -5 * GAP_SLACK
     solution = solve_graded(problem, fixed_mesh=True)
     assert solution.success
-    assert -TOO_NEAR < least(problem, solution) < BETWEEN
+    assert -GAP_SLACK < least(problem, solution) < BETWEEN
     report = check(solution)
     assert report.self_distance == pytest.approx(0.028, abs=BETWEEN)
     assert report.obstacle_distance is None
@@ -152,6 +152,6 @@ def test_knees_of_a_far_jump_stay_out_of_the_ground():
     assert depth_in_ground(problem.robot, solve(problem, **grid)) > 0.1
     solution = solve_graded(problem, **grid)
     assert solution.converged
-    assert least(problem, solution) > -TOO_NEAR
+    assert least(problem, solution) > -GAP_SLACK
     assert {"link_depth", "self_distance"}.isdisjoint(check(solution).failures())
     assert depth_in_ground(problem.robot, solution) < DEPTH

@@ -37,12 +37,7 @@ def swing(goal: float) -> Problem:
     end = np.array([goal])
     return replace(
         reach(),
-        terms=(
-            TorqueCost(weight=1.0),
-            VelocityCost(weight=0.1),
-            TerminalState(q=end),
-            TerminalRest(q=end),
-        ),
+        terms=(TorqueCost(weight=1.0), VelocityCost(weight=0.1), TerminalState(q=end), TerminalRest(q=end)),
         robot=reach(gravity=True).robot,
         guess=lambda t: end * np.clip(t / REACH_TIME, 0, 1),
         parameters={"goal": goal},
@@ -146,10 +141,7 @@ def test_functions_are_compiled_once_for_all_values(tmp_path, monkeypatch):
 def test_a_sequence_of_reaches_compiles_once_and_takes_fewer_iterations(tmp_path, monkeypatch):
     monkeypatch.setenv("TRAJOPT_CACHE_DIR", str(tmp_path))
     found = continuation(
-        lambda value: problems.load("ur5-reach", x=value),
-        (0.3, 0.33, 0.36),
-        intervals=12,
-        compare=True,
+        lambda value: problems.load("ur5-reach", x=value), (0.3, 0.33, 0.36), intervals=12, compare=True
     )
     assert found.success
     compiled = [step.solution.statistics.functions_compiled for step in found.steps]

@@ -12,14 +12,14 @@ from tests.support.swings import BALL, DURATION, END, FAR, MARGIN, POLE, START, 
 from trajopt.certify.report import PENETRATION
 from trajopt.collision.shapes import LinkShape, SphereObstacle
 from trajopt.motion.configurations import SolutionMotion
+from trajopt.problem import PosturePath
 from trajopt.problem.problem import Problem
 from trajopt.solution.solution import Solution
-from trajopt.solving.exchange import LOOK_STEP, LOOKS, MOST_SLIPS, TOO_NEAR, Exchange, Look, along
+from trajopt.solving.exchange import GAP_SLACK, INTERVAL_LOOKS, LOOK_STEP, MOST_SLIPS, Exchange, Look, along
 from trajopt.solving.solving import prepare, solve
 from trajopt.terms import Clearance
 from trajopt.terms.moments import PlaneSide
 from trajopt_library import problems
-from trajopt_library.problems.common import PosturePath
 
 pytestmark = pytest.mark.long
 
@@ -76,7 +76,7 @@ def test_moment_between_points_where_a_pair_is_nearest_has_a_row():
     assert look.moments[int(np.argmin(short))] in exchange.moments["joint2", "pole"]
     inner = exchange.moments["joint2", "pole"] - regular
     rows = dict(zip(look.moments, short, strict=True))
-    assert all(rows[moment] < -TOO_NEAR for moment in inner)
+    assert all(rows[moment] < -GAP_SLACK for moment in inner)
 
 
 def test_distances_of_a_look_are_those_along_the_motion():
@@ -121,7 +121,7 @@ def test_every_node_is_looked_at_once():
 def test_faster_intervals_are_looked_at_more_often():
     counts = [len(Exchange(past(swing(), FAR)).look(solve(swing(), intervals=n)).moments) for n in (3, 100)]
     assert counts[0] > float(np.abs(END - START).max()) / LOOK_STEP
-    assert counts[1] == pytest.approx(100 * (LOOKS + 3), rel=0.02)
+    assert counts[1] == pytest.approx(100 * (INTERVAL_LOOKS + 3), rel=0.02)
 
 
 def test_rows_stay_when_the_motion_has_left():
@@ -150,7 +150,7 @@ def test_a_foot_that_stands_in_the_ground_may_get_no_deeper_than_the_check_allow
     exchange = Exchange(problems.load("biped-run", robot="talos"))
     column = exchange.bodies.pairs.index(("leg_left_6_link", "ground"))
     margin = exchange.bodies.margins[column]
-    assert -PENETRATION < margin < -PENETRATION + TOO_NEAR
+    assert -PENETRATION < margin < -PENETRATION + GAP_SLACK
     found = [exchange.depth(touching(exchange, column, depth)) for depth in (-margin, 1.1 * PENETRATION)]
     assert found == pytest.approx([0.0, 0.1 * PENETRATION])
 
@@ -206,7 +206,7 @@ def test_what_may_be_passed_on_several_sides_is_no_ground_and_no_fitted_links():
     )
     sided = [number for number, (_, other) in enumerate(pairs) if other == "ball"]
     assert exchange.depth(deep) == pytest.approx(1e-3 * len(pairs), abs=2 * MARGIN)
-    least = exchange.bodies.margins[sided] - TOO_NEAR
+    least = exchange.bodies.margins[sided] - GAP_SLACK
     deepest = np.max(least + 1e-3 * (np.array(sided) + 1))
     assert exchange.sideless_depth(deep, known=False) == pytest.approx(deepest)
     exchange.moments.update({pair: set() for pair in pairs})
@@ -254,7 +254,7 @@ def test_rows_move_to_a_problem_with_other_parameters():
 def test_depth_is_how_much_too_near_the_worst_pair_is():
     exchange, look = begun(past(swing(), BALL, FAR), straight())
     short = (look.distances - exchange.bodies.margins).min()
-    assert exchange.depth(look) == pytest.approx(-TOO_NEAR - short)
+    assert exchange.depth(look) == pytest.approx(-GAP_SLACK - short)
     assert exchange.depth(exchange.look(avoided()[1])) == 0.0
     assert Exchange(swing()).depth(Exchange(swing()).look(straight())) == 0.0  # no bodies
 

@@ -115,9 +115,9 @@ def test_mesh_that_is_not_solved_is_named():
 
 
 def test_bad_bounds_are_refused():
-    with pytest.raises(InputError, match="objective of an agreement is 0"):
+    with pytest.raises(InputError, match="objective of Agreement is 0"):
         Agreement(objective=0.0)
-    with pytest.raises(InputError, match="distance of an agreement is inf"):
+    with pytest.raises(InputError, match="distance of Agreement is inf"):
         Agreement(distance=np.inf)
     with pytest.raises(InputError, match="max_time is -1"):
         converged_reference(reach(), max_time=-1.0)

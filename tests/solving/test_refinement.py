@@ -23,13 +23,7 @@ from trajopt.solving.refinement import PATIENCE, Refinement, _balanced
 from trajopt.solving.remeshing import MOST_PARTS, PhaseErrors, remeshed
 from trajopt.solving.rounds import phase_errors
 from trajopt.solving.solving import solve
-from trajopt.terms import (
-    AccelerationCost,
-    PositionLimits,
-    PostureCost,
-    TorqueLimits,
-    VelocityLimits,
-)
+from trajopt.terms import AccelerationCost, PositionLimits, PostureCost, TorqueLimits, VelocityLimits
 from trajopt.transcription.mesh import Mesh, PhaseMesh
 from trajopt.transcription.schemes import scheme
 from trajopt.transcription.transcription import chosen_mesh
@@ -256,7 +250,7 @@ def test_rounds_that_stay_far_from_the_grade_are_begun_anew_on_the_own_mesh(monk
     usual = solve_graded(hop(), mesh=mesh, accuracy=1e-3)
     assert own not in [each.mesh for each in usual.rounds]
     monkeypatch.setattr(refinement, "FAR_ROUNDS", 1)
-    monkeypatch.setattr(refinement, "FAR", 0.0)
+    monkeypatch.setattr(refinement, "FAR_RATIO", 0.0)
     found = solve_graded(hop(), mesh=mesh, accuracy=1e-3)
     assert found.reached
     assert [each.mesh for each in found.rounds[:2]] == [mesh, own]

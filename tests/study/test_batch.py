@@ -17,14 +17,12 @@ from tests.support.batch_problems import FATES, runs
 from tests.support.packages import installed
 from tests.support.refusals import assert_refused_in_one_line
 from trajopt import Solution, check
-from trajopt.study.batch.batch import batch
-from trajopt.study.batch.dataset import BatchDataset, dataset
+from trajopt.study.batch.batch import BatchDataset, batch, dataset
 from trajopt.study.batch.engine import run_batch
 from trajopt.study.batch.records import BatchRecords
 from trajopt.study.batch.solved_case import BatchSettings, CaseResult
 from trajopt.study.batch.variation import BatchCase, batch_cases
-from trajopt.study.cluster import local_or
-from trajopt.study.runner import local_executor
+from trajopt.study.tasks import local_executor, open_workers
 
 pytestmark = pytest.mark.long
 
@@ -213,9 +211,9 @@ def test_a_case_is_ended_after_its_longest_time(noted: Path, tmp_path: Path):
     cases, settings = fates(noted, "hold"), ShortSettings()
     with (
         BatchRecords(tmp_path / "out", cases, settings, {}, resume=False) as records,
-        local_executor(1) as executor,
+        open_workers(jobs=1) as workers,
     ):
-        (row,) = run_batch(cases, settings, records, executor, window=lambda: 1)
+        (row,) = run_batch(cases, settings, records, workers)
     assert (row["status"], row["detail"]) == ("time_limit", "killed after 3 s")
 
 
@@ -318,11 +316,8 @@ def test_a_case_waits_for_ancestors_that_are_run_again(noted: Path, tmp_path: Pa
             content = (whole.folder / rows[index]["file"]).read_bytes()
             result = CaseResult(figures={name: rows[index][name] for name in names}, content=content)
             records.add(index, result, start=None, attempts=1)
-        with local_or(None, 3) as cluster:
-            found = {
-                row["case"]: row["start"]
-                for row in run_batch(cases, settings, records, cluster.executor, window=cluster.window)
-            }
+        with open_workers(jobs=3) as workers:
+            found = {row["case"]: row["start"] for row in run_batch(cases, settings, records, workers)}
     assert found == {row["case"]: row["start"] for row in rows if row["case"] not in known}
 
 
@@ -337,7 +332,7 @@ def test_a_folder_of_something_else_is_one_line(noted: Path, tmp_path: Path):
         lambda: batch(cases, out), "is there and not empty; allowed: a new or an empty folder"
     )
     assert_refused_in_one_line(lambda: batch(cases, out, resume=True), "holds no batch; allowed: the folder")
-    assert_refused_in_one_line(lambda: dataset(out), "holds no batch; allowed: the folder of trajopt batch")
+    assert_refused_in_one_line(lambda: dataset(out), "holds no batch; allowed: the folder of a batch")
     assert_refused_in_one_line(lambda: batch(cases, out / "mine"), "is there and not empty")
     assert_refused_in_one_line(lambda: batch(cases, out / "mine" / "new"), "cannot write")
     assert_refused_in_one_line(lambda: batch(cases, tmp_path / "no", resume=True), "holds no batch")
@@ -351,8 +346,8 @@ def test_another_batch_is_not_mixed_with_the_first(noted: Path, tmp_path: Path):
     batch(cases[:1], out, jobs=1)
     kept = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
     for changes, words in (
-        ({"cases": cases[:1]}, "is there and not empty; allowed: --resume, or another folder"),
-        ({"cases": cases, "resume": True}, "holds a batch with other cases; allowed: the same command"),
+        ({"cases": cases[:1]}, "is there and not empty; allowed: `resume`, or another folder"),
+        ({"cases": cases, "resume": True}, "holds a batch with other cases; allowed: the same batch"),
         ({"cases": cases[:1], "resume": True, "max_time": 5.0}, "holds a batch with other settings"),
         ({"cases": cases[:1], "resume": True, "neighbours": False}, "holds a batch with other settings"),
     ):
@@ -376,7 +371,10 @@ def test_a_folder_in_use_is_one_line(noted: Path, tmp_path: Path):
         ({"max_time": 0.0}, "max_time is 0 s; allowed: > 0"),
         ({"tolerance": 2.0}, "tolerance is 2; allowed: between 0 and 1"),
         ({"jobs": 0}, "jobs of batch is 0; allowed: "),
-        ({"jobs": 1, "executor": ThreadPoolExecutor(1)}, "jobs has no effect with an executor"),
+        (
+            {"jobs": 1, "executor": ThreadPoolExecutor(1)},
+            "`jobs` has no effect here; allowed: without `executor`",
+        ),
         ({"executor": 3}, "executor of batch is 3"),
         ({"max_itertaions": 3}, "max_itertaions"),
         ({"max_time": "long"}, "max_time"),

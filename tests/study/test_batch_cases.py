@@ -131,24 +131,24 @@ def test_draws_outside_of_a_parameters_range_are_drawn_again():
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ({"vary": ["goal"]}, "--vary 'goal' has the wrong form; allowed: NAME=FIRST:LAST:COUNT or NAME=A,B"),
-        ({"vary": ["goal="]}, "--vary 'goal=' has the wrong form"),
-        ({"vary": ["=1,2"]}, "--vary '=1,2' has the wrong form"),
-        ({"vary": ["goal=0:1"]}, "--vary 'goal=0:1' has the wrong form"),
-        ({"vary": ["goal=0:1:2:3"]}, "--vary 'goal=0:1:2:3' has the wrong form"),
-        ({"vary": ["goal=0:1:0"]}, "--vary 'goal=0:1:0' has the wrong form"),
-        ({"vary": ["goal=0:1:-2"]}, "--vary 'goal=0:1:-2' has the wrong form"),
-        ({"vary": ["goal=0:1:2.5"]}, "--vary 'goal=0:1:2.5' has the wrong form"),
-        ({"vary": ["goal=0:1:999999999"]}, "--vary 'goal=0:1:999999999' has the wrong form"),
-        ({"vary": ["goal=0:1:1"]}, "--vary 'goal=0:1:1' has one value, and two ends"),
-        ({"vary": ["goal=1:1:2"]}, "--vary 'goal=1:1:2' has a value twice; allowed: FIRST and LAST apart"),
-        ({"vary": ["goal=1,1.0"]}, "--vary 'goal=1,1.0' has a value twice; allowed: different values"),
+        ({"vary": ["goal"]}, "`vary` 'goal' has the wrong form; allowed: NAME=FIRST:LAST:COUNT or NAME=A,B"),
+        ({"vary": ["goal="]}, "`vary` 'goal=' has the wrong form"),
+        ({"vary": ["=1,2"]}, "`vary` '=1,2' has the wrong form"),
+        ({"vary": ["goal=0:1"]}, "`vary` 'goal=0:1' has the wrong form"),
+        ({"vary": ["goal=0:1:2:3"]}, "`vary` 'goal=0:1:2:3' has the wrong form"),
+        ({"vary": ["goal=0:1:0"]}, "`vary` 'goal=0:1:0' has the wrong form"),
+        ({"vary": ["goal=0:1:-2"]}, "`vary` 'goal=0:1:-2' has the wrong form"),
+        ({"vary": ["goal=0:1:2.5"]}, "`vary` 'goal=0:1:2.5' has the wrong form"),
+        ({"vary": ["goal=0:1:999999999"]}, "`vary` 'goal=0:1:999999999' has the wrong form"),
+        ({"vary": ["goal=0:1:1"]}, "`vary` 'goal=0:1:1' has one value, and two ends"),
+        ({"vary": ["goal=1:1:2"]}, "`vary` 'goal=1:1:2' has a value twice; allowed: FIRST and LAST apart"),
+        ({"vary": ["goal=1,1.0"]}, "`vary` 'goal=1,1.0' has a value twice; allowed: different values"),
         ({"vary": ["goal=0:9:3"]}, "parameter goal is 9; allowed: -1.5 to 1.5 rad"),
         ({"vary": ["goal=1,"]}, "parameter goal='' is not a number; allowed: -1.5 to 1.5 rad"),
         ({"vary": ["goal=nan:1:2"]}, "parameter goal is nan"),
         ({"vary": ["goal=1kg"]}, "parameter goal='1kg' is not a number"),
         ({"vary": ["gaol=1"]}, "t-swing has no parameter 'gaol'; did you mean goal? allowed: "),
-        ({"vary": ["cost=1:2:3"]}, "--vary 'cost=1:2:3': parameter cost is no number; allowed: NAME=A,B"),
+        ({"vary": ["cost=1:2:3"]}, "`vary` 'cost=1:2:3': parameter cost is no number; allowed: NAME=A,B"),
         ({"vary": ["cost=torque,speed"]}, "parameter cost='speed'; allowed: acceleration, torque"),
         ({"vary": ["goal=1", "goal=0"]}, "parameter 'goal' is given twice; allowed: once"),
         ({"vary": ["goal=1"], "values": {"goal": "1"}}, "parameter 'goal' is given twice"),
@@ -158,7 +158,7 @@ def test_draws_outside_of_a_parameters_range_are_drawn_again():
         ({"robots": ["go2"]}, "t-swing has no parameter 'robot'"),
         (
             {"sample": ["goal"], "count": 1},
-            "--sample 'goal' has the wrong form; allowed: NAME=DISTRIBUTION(A,B)",
+            "`sample` 'goal' has the wrong form; allowed: NAME=DISTRIBUTION(A,B)",
         ),
         ({"sample": ["goal=uniform(0,1"], "count": 1}, "has the wrong form; allowed: NAME=DISTRIBUTION(A,B)"),
         ({"sample": ["goal=unifrom(0,1)"], "count": 1}, "no distribution 'unifrom'; did you mean uniform?"),
@@ -170,7 +170,7 @@ def test_draws_outside_of_a_parameters_range_are_drawn_again():
         ({"sample": ["goal=loguniform(0,1)"], "count": 1}, "is empty; allowed: 0 < low < high"),
         (
             {"sample": ["goal=normal(0,0)"], "count": 1},
-            "the deviation of --sample 'goal=normal(0,0)' is 0; allowed: > 0",
+            "the deviation of `sample` 'goal=normal(0,0)' is 0; allowed: > 0",
         ),
         (
             {"sample": ["goal=normal(90,1)"], "count": 1},
@@ -190,9 +190,9 @@ def test_draws_outside_of_a_parameters_range_are_drawn_again():
         ),
         (
             {"sample": ["goal=uniform(0,1)"]},
-            "--count is 0 with 1 parameters to sample; allowed: --sample and --count together",
+            "`count` is 0 with 1 parameters to sample; allowed: `sample` and `count` together",
         ),
-        ({"count": 3}, "--count is 3 with 0 parameters to sample"),
+        ({"count": 3}, "`count` is 3 with 0 parameters to sample"),
         ({"count": -1}, "count of batch_cases is -1; allowed: "),
         ({"seed": -1}, "seed of batch_cases is -1; allowed: "),
     ],
@@ -204,7 +204,7 @@ def test_what_is_not_allowed_is_one_line(arguments: dict[str, Any], words: str):
 def test_other_names_are_one_line():
     assert_refused_in_one_line(lambda: batch_cases("t-swnig"), "'t-swnig'")
     assert_refused_in_one_line(
-        lambda: batch_cases("t-fated", robots=["a", "a"]), "--robots a,a has a value twice"
+        lambda: batch_cases("t-fated", robots=["a", "a"]), "`robots` a,a has a value twice"
     )
     assert_refused_in_one_line(lambda: batch_cases("t-fated", robots=["a", ""]), "parameter robot=''")
     assert_refused_in_one_line(

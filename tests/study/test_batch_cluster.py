@@ -15,7 +15,7 @@ from tests.support.batch_problems import HELD, runs
 from tests.support.command_lines import invoke
 from tests.support.packages import installed
 from tests.support.processes import TRAJOPT, Running, environment, needs_proc, no_task_process_left, until
-from trajopt.study.batch.dataset import dataset
+from trajopt.study.batch.batch import dataset
 
 pytest.importorskip("distributed")
 pytestmark = [pytest.mark.slow, needs_proc]

@@ -11,11 +11,10 @@ import pytest
 
 from tests.support.command_lines import assert_refused, invoke
 from tests.support.refusals import assert_refused_in_one_line
-from trajopt.study.batch.dataset import dataset
-from trajopt.study.batch.plot import plot_failures
+from trajopt.study.batch.batch import dataset
 from trajopt.study.batch.records import BatchRecords
+from trajopt.study.batch.report import outcomes, plot_failures, regions
 from trajopt.study.batch.solved_case import BatchSettings, CaseResult
-from trajopt.study.batch.summary import outcomes, regions
 from trajopt.study.batch.variation import BatchCase
 
 CASES = [

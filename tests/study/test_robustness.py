@@ -14,13 +14,12 @@ from tests.support import suite_problems
 from tests.support.packages import installed
 from tests.support.problems import hop, hopper, planar_hopper, reach
 from trajopt import solve
-from trajopt.study.cluster import local_or
 from trajopt.study.suite.cases import Case
+from trajopt.study.suite.engine import SuiteRecords, run_suite
 from trajopt.study.suite.optima import SAME_MOTION, counted, described, distances, embedded
 from trajopt.study.suite.outcome import Outcome
-from trajopt.study.suite.pool import run_all
-from trajopt.study.suite.records import SuiteRecords
-from trajopt.study.suite.settings import SuiteSettings
+from trajopt.study.suite.run import SuiteSettings
+from trajopt.study.tasks import open_workers
 
 STARTS = SuiteSettings(perturbed=3)
 CASE = Case(problem="t-reach", robot="arm", takes_robot=False)
@@ -105,8 +104,8 @@ class Interrupted(SuiteRecords):
         self.most, self.starts = most, list[int]()
         return self.starts
 
-    def told(self, pair: str, event: dict[str, Any]) -> None:
-        super().told(pair, event)
+    def add_event(self, pair: str, event: dict[str, Any]) -> None:
+        super().add_event(pair, event)
         if event["event"] == "start":
             self.starts.append(event["values"]["seed"])
             if len(self.starts) == self.most:
@@ -118,8 +117,8 @@ def pursue(folder: Path, most: int) -> tuple[list[Outcome], list[int]]:
     records.open(resume=True)
     starts = records.interrupt_after(most)
     try:
-        with local_or(None, 1) as cluster:
-            outcomes = list(run_all([CASE], STARTS, cluster=cluster, records=records))
+        with open_workers(jobs=1) as workers:
+            outcomes = list(run_suite([CASE], STARTS, records, workers))
     except KeyboardInterrupt:
         outcomes = []
     for outcome in outcomes:

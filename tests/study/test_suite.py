@@ -16,14 +16,12 @@ from trajopt.problem.catalogue import families
 from trajopt.solution.grid import mesh_of
 from trajopt.solution.statistics import SolveStatistics
 from trajopt.solvers.status import Status
-from trajopt.study.cluster import local_or
-from trajopt.study.suite import failure
+from trajopt.study import solves
 from trajopt.study.suite.cases import Case, all_cases, select
+from trajopt.study.suite.engine import SuiteRecords, run_suite
 from trajopt.study.suite.outcome import Outcome
-from trajopt.study.suite.pool import run_all
-from trajopt.study.suite.records import SuiteRecords
-from trajopt.study.suite.run import measure_case
-from trajopt.study.suite.settings import SuiteSettings
+from trajopt.study.suite.run import SuiteSettings, measure_case
+from trajopt.study.tasks import open_workers
 
 pytestmark = pytest.mark.long
 
@@ -48,8 +46,8 @@ def case(problem: str, robot: str = "arm") -> Case:
 
 def run_pairs(names: list[str], settings: SuiteSettings, folder: Path | None = None) -> dict[str, Outcome]:
     records = SuiteRecords(folder, settings, {})
-    with local_or(None, 2) as cluster:
-        outcomes = run_all([case(name) for name in names], settings, cluster=cluster, records=records)
+    with open_workers(jobs=2) as workers:
+        outcomes = run_suite([case(name) for name in names], settings, records, workers)
         return {outcome.problem: outcome for outcome in outcomes}
 
 
@@ -111,7 +109,7 @@ def test_an_unknown_pair_is_one_line(patterns: list[str], robots: list[str], wor
     ],
 )
 def test_the_condition_missed_most_names_the_failure(figures: tuple[float | None, ...], mode: str):
-    assert failure.worst_condition(*figures, tolerance=1e-6, feasibility=1e-7) == mode
+    assert solves.worst_condition(*figures, tolerance=1e-6, feasibility=1e-7) == mode
 
 
 @pytest.mark.parametrize("status", Status)
@@ -121,9 +119,9 @@ def test_every_status_has_a_mode(status: Status):
         success=False, converged=False, objective=0.0, wall_time_s=0.0,
         primal_infeasibility=0.0, dual_infeasibility=1.0, complementarity=0.0,
     )  # fmt: skip
-    mode = failure.mode_of(statistics)
-    assert (mode == failure.SOLVED) == (status is Status.SOLVED)
-    assert mode in (failure.SOLVED, *failure.MODES)
+    mode = solves.mode_of(statistics)
+    assert (mode == solves.SOLVED) == (status is Status.SOLVED)
+    assert mode in (solves.SOLVED, *solves.MODES)
 
 
 @pytest.mark.parametrize(

@@ -15,13 +15,12 @@ from tests.support.suite_outcomes import outcome_of
 from trajopt import solve
 from trajopt.errors import InputError
 from trajopt.solvers.drivers import SOLVERS
+from trajopt.study.records import versions
+from trajopt.study.solves import CHECK
 from trajopt.study.suite import data
-from trajopt.study.suite.failure import CHECK
+from trajopt.study.suite.engine import SuiteRecords
 from trajopt.study.suite.outcome import Outcome, quantile
-from trajopt.study.suite.records import SuiteRecords
-from trajopt.study.suite.run import attempt
-from trajopt.study.suite.settings import SuiteSettings
-from trajopt.study.suite.versions import versions
+from trajopt.study.suite.run import SuiteSettings, attempt
 
 VIRTUAL_MACHINE = SuiteSettings()
 STARTS = replace(VIRTUAL_MACHINE, perturbed=3)

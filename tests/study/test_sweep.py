@@ -13,11 +13,9 @@ from trajopt.errors import InputError
 from trajopt.robot.units import Units
 from trajopt.study.sweep.plan import SweepPlan
 from trajopt.study.sweep.plot import plot
-from trajopt.study.sweep.records import SweepRecords, SweepRequest, SweepResults
-from trajopt.study.sweep.result import Job, TimedRun
+from trajopt.study.sweep.records import Job, SweepRecords, SweepRequest, SweepResults, TimedRun
 from trajopt.study.sweep.setting import Setting
-from trajopt.study.sweep.summary import disturbance, median_run, summarize
-from trajopt.study.sweep.tables import write_tables
+from trajopt.study.sweep.summary import disturbance, median_run, summarize, write_tables
 
 BASE = Setting(transcription="legendre:2", intervals=10)
 NAN, INF = math.nan, math.inf
@@ -189,8 +187,11 @@ def test_another_plan_and_no_sweep_at_all_are_not_resumed(tmp_path: Path):
     with pytest.raises(InputError, match="holds a sweep with another plan"):
         records(tmp_path, resume=True)
     (tmp_path / "record.jsonl").write_text("nothing\n")
-    with pytest.raises(InputError, match="holds a sweep with another problem"):
+    with pytest.raises(InputError, match="holds no sweep; allowed: the folder of a sweep"):
         records(tmp_path, resume=True)
+    with pytest.raises(InputError, match="holds no sweep"):
+        records(tmp_path / "new", resume=True)
+    assert not (tmp_path / "new").exists()
 
 
 def test_a_folder_that_cannot_be_written_is_refused(tmp_path: Path):

@@ -10,9 +10,8 @@ import pytest
 from tests.support.problems import hop, reach
 from trajopt.errors import InputError
 from trajopt.study.sweep.plan import OTHER_SCHEMES, make_plan, own_setting
-from trajopt.study.sweep.setting import WORDS, Setting
+from trajopt.study.sweep.setting import WORDS, Setting, cone_of, with_cone
 from trajopt.study.sweep.summary import dominators, front
-from trajopt.study.sweep.variants import cone_of, with_cone
 from trajopt.terms import FrictionCone, FrictionPyramid
 
 BASE = Setting(transcription="legendre:2", intervals=10)
@@ -80,7 +79,7 @@ def test_a_setting_is_its_words():
         setting = replace(BASE, tolerance=3e-4, **dict(zip(WORDS, values, strict=True)))
         assert Setting.parse(setting.name, replace(BASE, intervals=3)) == setting
         assert Setting.parse(setting.label(BASE), BASE) == setting
-        assert Setting.from_dict({name: str(value) for name, value in setting.to_dict().items()}) == setting
+        assert Setting(**setting.to_dict()) == setting
 
 
 def test_labels_tell_only_what_differs():

@@ -28,15 +28,13 @@ from trajopt.errors import InputError
 from trajopt.problem import Problem
 from trajopt.reduced.two_stage import base_rows_problem
 from trajopt.solution.solution import Solution
-from trajopt.study.runner import LOST, REFUSED
-from trajopt.study.sweep.cores import cores_for, physical_cores
-from trajopt.study.sweep.engine import Sweep
+from trajopt.study.display import TaskDisplay
+from trajopt.study.processes import LOST, REFUSED
+from trajopt.study.sweep.engine import Sweep, cores_for, physical_cores
 from trajopt.study.sweep.plan import make_plan
-from trajopt.study.sweep.records import SweepRecords, SweepRequest
-from trajopt.study.sweep.result import Job
+from trajopt.study.sweep.records import Job, SweepRecords, SweepRequest
 from trajopt.study.sweep.run import objective_of, run_setting, with_torques
 from trajopt.study.sweep.setting import Setting
-from trajopt.study.workers.display import TaskDisplay
 
 pytestmark = pytest.mark.long
 

@@ -18,26 +18,26 @@ import pytest
 
 from tests.support.processes import environment, needs_proc
 from trajopt.errors import InputError
-from trajopt.study.runner import (
-    DONE,
+from trajopt.study.display import TaskDisplay
+from trajopt.study.processes import (
     LOST,
-    NOT_RUN,
     REFUSED,
     TIME_LIMIT,
-    NotRunError,
-    TimedCall,
-    limited,
-    run_tasks,
-)
-from trajopt.study.workers.display import TaskDisplay
-from trajopt.study.workers.executor import ProcessPerTaskExecutor
-from trajopt.study.workers.records import JsonLines
-from trajopt.study.workers.task import (
     LostTaskError,
+    ProcessPerTaskExecutor,
     RefusedTaskError,
     TaskError,
     TaskTimeoutError,
     limit_time,
+)
+from trajopt.study.records import JsonLines
+from trajopt.study.tasks import (
+    DONE,
+    NOT_RUN,
+    NotRunError,
+    TimedCall,
+    Workers,
+    limited,
 )
 
 # Seconds that any task here may take; none takes one unless it hangs.
@@ -237,7 +237,7 @@ ORPHANED = """
 import sys
 from pathlib import Path
 from tests.study import test_workers
-from trajopt.study.workers.executor import ProcessPerTaskExecutor
+from trajopt.study.processes import ProcessPerTaskExecutor
 if __name__ == "__main__":
     with ProcessPerTaskExecutor(1) as executor:
         executor.submit(test_workers.wait, Path(sys.argv[1])).result()
@@ -272,7 +272,8 @@ def made(name: str) -> TimedCall:
 def test_every_task_ends_once_and_more_may_follow(make: Callable[[], Executor]):
     waiting, ended = deque(["value", "refuse", "fail", "hang", "left out"]), {}
     with make() as executor:
-        for one in run_tasks(waiting, made, executor, window=lambda: 2, attempts=2):
+        workers = Workers(executor=executor, window=lambda: 2)
+        for one in workers.run(waiting, made, attempts=2):
             assert one.key not in ended
             ended[one.key] = (one.kind, one.value, one.detail, one.attempts)
             if one.key == "value":
@@ -291,8 +292,10 @@ def test_an_exception_of_the_check_ends_the_loop():
     def interrupt() -> None:
         raise KeyboardInterrupt
 
-    with ProcessPerTaskExecutor(1) as executor, pytest.raises(KeyboardInterrupt):
-        list(run_tasks(deque(["value"]), made, executor, window=lambda: 1, check=interrupt))
+    with ProcessPerTaskExecutor(1) as executor:
+        workers = Workers(executor=executor, window=lambda: 1, checks=(interrupt,))
+        with pytest.raises(KeyboardInterrupt):
+            list(workers.run(deque(["value"]), made))
 
 
 # Records

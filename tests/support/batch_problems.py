@@ -16,7 +16,7 @@ from trajopt.errors import InputError
 from trajopt.problem.family import Choice, Family, Parameter
 from trajopt.problem.problem import Problem
 from trajopt.schedule.schedule import Phase, Schedule
-from trajopt.study.workers.task import limit_time
+from trajopt.study.processes import limit_time
 from trajopt.terms import AccelerationCost, TerminalRest, TerminalState, TorqueCost, TorqueLimits
 from trajopt.terrain.flat import FlatGround
 

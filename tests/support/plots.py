@@ -12,9 +12,8 @@ from tests.support.synthetic_motions import arm_motion, sampled
 from trajopt import solve
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.solution.solution import Solution
-from trajopt.view.plotting.figure import figure_of
 from trajopt.view.plotting.track import Track, tracks_of
-from trajopt.view.plotting.writing import pages_of
+from trajopt.view.plotting.writing import sheet_of
 from trajopt_library import robots
 
 
@@ -47,9 +46,8 @@ def track_of(solution: Solution) -> Track:
     return tracks_of([solution])[0]
 
 
-def drawn(solution: Solution, name: str, *others: Solution) -> list[Figure]:
-    tracks = tracks_of([solution, *others])
-    return [figure_of([page], tracks, fixed=True) for page in pages_of(tracks, [name])]
+def drawn(solution: Solution, name: str, *others: Solution) -> Figure:
+    return sheet_of(tracks_of([solution, *others]), [name]).figure
 
 
 def panels(figure: Figure) -> list[Axes]:
@@ -57,10 +55,10 @@ def panels(figure: Figure) -> list[Axes]:
     return figure.findobj(Axes)
 
 
-def lines(figures: list[Figure], panel: str) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def lines(figure: Figure, panel: str) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Data of the named lines of a panel, without gaps."""
     found = {}
-    for axes in (axes for figure in figures for axes in panels(figure) if axes.get_label() == panel):
+    for axes in (axes for axes in panels(figure) if axes.get_label() == panel):
         for line in axes.get_lines():
             name = str(line.get_label())
             if not name.startswith("_"):

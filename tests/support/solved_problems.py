@@ -1,7 +1,11 @@
 """Solutions with the unknowns that a solver found, and the transcription that they belong to."""
 
+import fcntl
+import hashlib
+import os
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 
 import trajopt
 from tests.support.problems import hop
@@ -43,5 +47,10 @@ def solved_hop() -> Solved:
 
 @lru_cache
 def motion(name: str, **settings: object) -> Solution:
-    """The solution of a problem of the library, to the grade; once for all tests of a worker."""
-    return trajopt.solve(trajopt.load(name, **settings))
+    """The solution of a problem of the library, to the grade; once for all workers of a session."""
+    problem = trajopt.load(name, **settings)
+    parameters = repr(sorted(problem.parameters.items())).encode()
+    file = Path(os.environ["SOLVED_MOTIONS"], f"{name}-{hashlib.sha256(parameters).hexdigest()}.npz")
+    with file.with_suffix(".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        return Solution.load(file if file.is_file() else trajopt.solve(problem).save(file))

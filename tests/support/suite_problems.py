@@ -14,7 +14,7 @@ from trajopt.errors import InputError
 from trajopt.problem.family import Family
 from trajopt.problem.problem import Problem
 from trajopt.solution.solution import Solution
-from trajopt.study.suite import run
+from trajopt.study import solves
 from trajopt.terms import AccelerationCost, TerminalState, TorqueLimits
 
 # Far below what swings the arm to its goal in time, N m.
@@ -75,14 +75,14 @@ def hanging() -> Problem:
 
 def losing_a_start() -> Problem:
     """The process aborts when it comes to one of its perturbed starts."""
-    original = run.solve
+    original = solves.solve
 
     def solve(*given: Any, **settings: Any) -> Solution:
         if settings.get("seed") == LOST_SEED:
             os.abort()
         return original(*given, **settings)
 
-    run.solve = solve
+    solves.solve = solve
     return reach()
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.collision.shapes import CapsuleObstacle, LinkShape, Obstacle, SphereObstacle
+from trajopt.problem import PosturePath
 from trajopt.problem.problem import Problem
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Phase, Schedule
@@ -14,7 +15,6 @@ from trajopt.solution.solution import Solution
 from trajopt.solving.graded import solve as solve_graded
 from trajopt.terms import AccelerationCost, Clearance, TerminalRest, TerminalState
 from trajopt.terrain.flat import FlatGround
-from trajopt_library.problems.common import PosturePath
 
 LINK, SIDE, DURATION, MARGIN = 0.5, 0.06, 1.5, 0.02  # m, m, s, m
 START, END = np.array([-0.3, 0.0, 0.0]), np.array([1.2, 0.0, 0.0])

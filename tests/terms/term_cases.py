@@ -454,10 +454,7 @@ CASES: dict[str, Case] = {
         lambda s: PositionLimits(),
         lambda p, t: (p.xi[6:], p.robot.position_lower[7:], p.robot.position_upper[7:], p.units.position[6:]),
     ),
-    "velocity limits": rows(
-        lambda s: VelocityLimits(),
-        velocity_limits,
-    ),
+    "velocity limits": rows(lambda s: VelocityLimits(), velocity_limits),
     "torque limits": rows(
         lambda s: TorqueLimits(limit=s.torque * np.array([3.0, 5.0])),
         torque_limits,
@@ -574,18 +571,14 @@ CASES: dict[str, Case] = {
         node=node,
     ),
     "terminal rest": rows(
-        lambda s: TerminalRest(q=goal(s)),
-        lambda p, t: free(p, t.q, p.dxi / p.units.velocity),
-        **IN_METRES,
+        lambda s: TerminalRest(q=goal(s)), lambda p, t: free(p, t.q, p.dxi / p.units.velocity), **IN_METRES
     ),
     "terminal velocity": rows(
         lambda s: TerminalVelocity(q=goal(s), v=rates(s)), terminal_velocity, **IN_METRES
     ),
     "terminal line": rows(
         lambda s: TerminalLinear(
-            position=np.eye(8)[:1],
-            velocity=-0.5 * s.time * np.eye(8)[1:2],
-            value=np.array([0.3 * s.length]),
+            position=np.eye(8)[:1], velocity=-0.5 * s.time * np.eye(8)[1:2], value=np.array([0.3 * s.length])
         ),
         lambda p, t: (
             np.array([p.xi[0] - 0.5 * p.scale.time * p.dxi[1] - 0.3 * p.scale.length]),

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.support.refusals import refused
 from tests.support.replay_pages import objects_of, placements_of, shown
 from tests.support.swings import BALL, FAR, MARGIN, POLE, ROD_CAPSULES, avoided, past, swing
 from tests.support.synthetic_motions import with_meta
 from trajopt.certify.check import check
 from trajopt.collision.near import CollisionScene
 from trajopt.collision.shapes import LinkShape
-from trajopt.errors import InputError
 from trajopt.solution.solution import Solution
 from trajopt.solving.extraction import described_bodies
 from trajopt.solving.graded import solve as solve_graded
@@ -95,9 +95,8 @@ WRONG = {
 @pytest.mark.parametrize("case", WRONG)
 def test_wrong_description_in_a_file_is_refused_in_one_line(case):
     _, solution = avoided()
-    with pytest.raises(InputError, match="collision of meta: ") as caught:
+    with refused("collision of meta: "):
         check(with_meta(solution, collision=WRONG[case]))
-    assert "\n" not in str(caught.value)
 
 
 MARGINS = {
@@ -112,9 +111,8 @@ MARGINS = {
 @pytest.mark.parametrize("case", MARGINS)
 def test_wrong_margins_in_a_file_are_refused_in_one_line(case):
     _, solution = avoided()
-    with pytest.raises(InputError, match="margins of bodies of meta") as caught:
+    with refused("margins of bodies of meta"):
         check(with_meta(solution, bodies={**solution.meta["bodies"], "margins": MARGINS[case]}))
-    assert "\n" not in str(caught.value)
 
 
 def test_replay_draws_obstacles_where_they_are(tmp_path):

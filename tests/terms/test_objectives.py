@@ -1,4 +1,4 @@
-"""Goals of motions: costs at nodes and the named goals, against numpy and closed forms."""
+"""Goals and energies of motions, against numpy and closed forms."""
 
 import math
 from dataclasses import replace
@@ -9,14 +9,17 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import sparse
 
-from tests.support.goals import objective, sampled, wandering, with_terms
+from tests.support.goals import integral, objective, sampled, wandering, with_terms
 from tests.support.problems import FOOT, REACH, hop, hopper, one_joint_arm, reach
 from tests.support.scenes import biped, push, usual
+from tests.support.synthetic_motions import with_meta
 from trajopt.errors import InputError
-from trajopt.motion.energy_use import energy
+from trajopt.motion.energy_use import cost_of_transport, energy
 from trajopt.problem.problem import Problem
+from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.kinematics import frame_pose
 from trajopt.robot.robot import Robot
+from trajopt.robot.units import Units
 from trajopt.scenes.smallest_scene import smallest
 from trajopt.schedule import Moment, end_of, middle_of
 from trajopt.schedule.schedule import Phase, Schedule
@@ -25,6 +28,8 @@ from trajopt.terms import (
     AccelerationCost,
     DistanceCost,
     FrameHeightCost,
+    FramePose,
+    FrameVelocity,
     PowerCost,
     TerminalRest,
     TerminalState,
@@ -35,9 +40,12 @@ from trajopt.terms import (
     effort_costs,
     goal_terms,
 )
+from trajopt.terms.drives import heat_coefficients
 from trajopt.terms.objectives import GOALS, REST, REST_OF_LINEAR
 from trajopt.terms.tracking import key_frames
 from trajopt.terrain.flat import FlatGround
+from trajopt_library import problems
+from trajopt_library.robots.ur5 import TOOL
 
 # Central differences along a direction, step 1e-5, on values of order up to 1e3 in scaled units.
 STEP = 1e-5
@@ -311,3 +319,86 @@ def test_a_reference_of_another_robot_or_with_gaps_is_refused(reference):
 def test_a_cost_at_nodes_of_an_unknown_phase_is_refused():
     with pytest.raises(InputError, match="flihgt"):
         with_terms(hop(), FrameHeightCost(weight=1.0, frame=FOOT, at=middle_of("flihgt")))
+
+
+# Ten times the solver's default tolerance on rows of about a metre and a metre per second.
+REACHED = 1e-5
+
+
+def test_tool_passes_its_goal_with_the_velocity_asked():
+    velocity = np.array([0.2, -0.1, 0.05, 0.0, 0.3, 0.0])
+    reach = problems.load("ur5-reach")
+    kept = tuple(term for term in reach.terms if not isinstance(term, TerminalRest))
+    solution = solve(
+        replace(reach, terms=(*kept, FrameVelocity(frame=TOOL, velocity=velocity))), intervals=15
+    )
+    assert solution.converged
+    model, data = reach.robot.model, reach.robot.model.createData()
+    pin.forwardKinematics(model, data, solution.q[-1], solution.v[-1])
+    frame = model.getFrameId(TOOL)
+    reached = pin.getFrameVelocity(model, data, frame, pin.LOCAL_WORLD_ALIGNED).vector
+    assert_allclose(reached, velocity, atol=REACHED)
+    (goal,) = [term for term in reach.terms if isinstance(term, FramePose)]
+    pose = pin.updateFramePlacement(model, data, frame)
+    assert_allclose(pose.translation, goal.position, atol=REACHED)
+    assert_allclose(pin.log3(goal.rotation.T @ pose.rotation), np.zeros(3), atol=REACHED)
+
+
+@pytest.mark.parametrize("recovered", [-1.0, 0.0, 0.4])
+def test_power_cost_is_the_integral_of_what_joints_draw(recovered):
+    robot, s = hopper(), 0.05
+    problem = replace(hop(), guess=wandering(robot))
+    solution, x = sampled(problem)
+    unit = Units(robot)
+    power = solution.tau * solution.v[:, 6:] * unit.time / unit.torque
+    drawn = (1 + recovered) / 2 * power + (1 - recovered) / 2 * (np.sqrt(power**2 + s**2) - s)
+    expected = 2.0 * integral(solution, drawn.sum(axis=1)) / unit.time
+    cost = PowerCost(weight=2.0, recovered=recovered, smoothing=s)
+    assert_allclose(objective(with_terms(problem, cost), x), expected, rtol=ROUNDING)
+
+
+def test_energy_of_a_motion_between_rests_is_twice_its_largest_kinetic_energy():
+    solution = solve(reach(), intervals=40)
+    inertia = pin.crba(solution.model, solution.model.createData(), solution.q[0])[0, 0]
+    largest = inertia * np.abs(solution.v).max() ** 2 / 2
+    assert_allclose(energy(solution, recovered=0.0), largest, rtol=1e-3)
+    assert_allclose(energy(solution), 2 * largest, rtol=1e-3)
+    assert_allclose(energy(solution, recovered=1.0), 0.0, atol=1e-6 * largest)
+    assert cost_of_transport(solution) == math.inf  # an arm goes nowhere
+
+
+def test_heat_is_that_of_the_windings():
+    resistance, constant, ratio = 0.5, 0.08, -9.0
+    drive = Drive.from_motor(gear_ratio=ratio, voltage=24.0, resistance=resistance, torque_constant=constant)
+    (found,) = heat_coefficients((drive,), 1)
+    torque = 3.0
+    current = torque / ratio / constant
+    assert_allclose(found * torque**2, resistance * current**2, rtol=ROUNDING)
+    assert_allclose(heat_coefficients((None, Drive(gear_ratio=9.0)), 2), 0.0)
+    assert_allclose(heat_coefficients(None, 3), np.zeros(3))
+
+
+def test_drives_heat_is_in_the_cost_and_in_the_energy():
+    drive = Drive.from_motor(gear_ratio=9.0, voltage=48.0, resistance=0.5, torque_constant=0.08)
+    robot = one_joint_arm(gravity=True).with_drives((drive,))
+    problem = replace(reach(gravity=True), robot=robot)
+    solution, x = sampled(problem)
+    heat = integral(solution, (solution.tau[:, 0] / 9.0 / 0.08) ** 2 * 0.5)
+    bare = with_meta(solution, drives=None)
+    assert_allclose(energy(solution) - energy(bare), heat, rtol=ROUNDING)
+    unit = Units(robot)
+    only = with_terms(problem, PowerCost(weight=1.0, recovered=1.0))
+    expected = energy(solution, recovered=1.0) / (unit.force * unit.length)
+    assert_allclose(objective(only, x), expected, rtol=ROUNDING)
+
+
+def test_cost_of_transport_is_energy_over_weight_and_way():
+    robot = hopper()
+    solution, _ = sampled(replace(hop(), guess=wandering(robot)))
+    model, data = robot.model, robot.model.createData()
+    ends = [pin.centerOfMass(model, data, q).copy() for q in solution.q[[0, -1]]]
+    way = np.linalg.norm((ends[1] - ends[0])[:2])
+    drawn = integral(solution, np.abs(solution.tau * solution.v[:, 6:]).sum(axis=1))
+    assert_allclose(cost_of_transport(solution), drawn / robot.weight / way, rtol=ROUNDING)
+    still = replace(solution, q=np.tile(solution.q[0], (solution.n_samples, 1)))
+    assert cost_of_transport(still) == math.inf

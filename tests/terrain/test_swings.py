@@ -6,22 +6,19 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+import trajopt
 from tests.support.ground import HILLS, STAIRS
 from tests.support.problems import FOOT, hopper
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.units import Units
 from trajopt.schedule.schedule import Phase, Schedule
-from trajopt.terms import (
-    Context,
-    NodePlace,
-    SwingOver,
-    swing_clearance,
-)
+from trajopt.terms import Context, NodePlace, SwingOver, swing_clearance
 from trajopt.terrain.crossing import crossing
 from trajopt.terrain.piecewise import PiecewiseTerrain
-from trajopt.terrain.swing_paths import swing_path
+from trajopt.terrain.swing_paths import swing_path, swing_profile
 from trajopt.transcription.mesh import equal_fractions
+from trajopt_library import problems
 
 ROUNDING = 1e-12  # numbers of order one after a few products
 SEED = 5
@@ -180,3 +177,25 @@ def test_swing_through_two_phases_is_one_swing():
     assert joints.acts_at(at)
     assert not inside.acts_at(at)
     assert inside.swings[0].fraction(at) == (pytest.approx(0.25), pytest.approx(0.25))
+
+
+# Relative change of the objective between 50 and 100 intervals; with a profile that rises at once it is 6e-2.
+CONVERGED = 1e-3
+
+
+def test_profile_is_one_in_the_middle_and_flat_at_the_ends():
+    s, step = np.linspace(0, 1, 101), 1e-6
+    values = np.array([swing_profile(each) for each in s])
+    assert values[0] == values[-1] == 0.0
+    assert values.max() == values[50] == 1.0
+    assert swing_profile(step) / step < 1e-4
+    assert (values <= 4 * s * (1 - s) + 1e-12).all()  # what kept the steeper profile keeps this one
+
+
+@pytest.mark.long
+def test_objective_of_a_hop_has_a_limit_on_finer_meshes():
+    hop = problems.load("hopper-hop")
+    coarse = trajopt.solve(hop, intervals=50)
+    fine = trajopt.solve(hop, intervals=100, start=coarse)
+    assert fine.converged
+    assert fine.statistics.objective == pytest.approx(coarse.statistics.objective, rel=CONVERGED)

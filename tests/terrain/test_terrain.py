@@ -18,11 +18,7 @@ from trajopt.schedule.placing import placed_on
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.solution.solution import Solution
 from trajopt.solving.solving import solve
-from trajopt.terms import (
-    FrictionCone,
-    FrictionPyramid,
-    SwingClearance,
-)
+from trajopt.terms import FrictionCone, FrictionPyramid, SwingClearance
 from trajopt.terrain.patch import Patch
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.shapes import Bump, Incline, Wave

@@ -66,10 +66,7 @@ def rows_of(problem: Problem, solution: Solution, names: set[str]) -> list[tuple
 
 
 def grid_of(solution: Solution) -> dict[str, object]:
-    return {
-        "transcription": solution.statistics.transcription,
-        "intervals": sum(solution.meta["intervals"]),
-    }
+    return {"transcription": solution.statistics.transcription, "intervals": sum(solution.meta["intervals"])}
 
 
 @pytest.mark.long
@@ -151,12 +148,7 @@ ONE = {"during": "flight", "fractions": [0.2]}
 
 
 def plane(**changes: object) -> PlaneSide:
-    given = {
-        **ONE,
-        "parameters": np.ones((1, 7)),
-        "frame": FOOT,
-        "body": None,
-    }
+    given = {**ONE, "parameters": np.ones((1, 7)), "frame": FOOT, "body": None}
     return PlaneSide(**(given | changes))
 
 

@@ -9,11 +9,7 @@ from tests.support.redundant_contacts import corners, solo, solo_hop
 from trajopt import Phase, Problem, Schedule
 from trajopt.certify.report import AT_POINTS
 from trajopt.solving.solving import prepare
-from trajopt.terms import (
-    PostureCost,
-    TorqueCost,
-    WrenchCost,
-)
+from trajopt.terms import PostureCost, TorqueCost, WrenchCost
 from trajopt.transcription.redundancy import independent_rows
 from trajopt_library import problems, robots
 

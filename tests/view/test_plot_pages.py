@@ -23,10 +23,9 @@ from trajopt.robot.reading import read_urdf
 from trajopt.robot.robot import Robot
 from trajopt.solution.solution import Solution
 from trajopt.view.plotting import style
-from trajopt.view.plotting.figure import figure_of
 from trajopt.view.plotting.joints import limbs_of
 from trajopt.view.plotting.track import Track, tracks_of
-from trajopt.view.plotting.writing import PAGES, pages_of, write_plots
+from trajopt.view.plotting.writing import TOPICS, sheet_of, write_plots
 
 # CIE 1976 distance of two colours: about 2.3 is a just noticeable difference, 15 is told apart at a glance.
 APART = 15.0
@@ -60,8 +59,7 @@ def flight() -> Solution:
     ],
 )
 def test_pages_are_those_that_the_robot_has_something_for(solution: object, names: set[str]) -> None:
-    tracks = tracks_of([solution()])
-    assert {page.name for page in pages_of(tracks, list(PAGES))} == names
+    assert set(sheet_of(tracks_of([solution()]), list(TOPICS)).topics) == names
 
 
 @pytest.mark.long
@@ -73,19 +71,19 @@ def test_pages_are_those_that_the_robot_has_something_for(solution: object, name
     ],
 )  # fmt: skip
 def test_no_text_lies_on_another_or_beyond_the_page(solution: object, name: str) -> None:
-    for figure in drawn(solution(), name):
-        renderer = FigureCanvasAgg(figure).get_renderer()
-        figure.draw(renderer)
-        width, height = figure.canvas.get_width_height()
-        boxes = [(text, box) for text in texts(figure) for box in [text.get_window_extent(renderer)]]
-        for text, box in boxes:
-            assert box.x0 >= 0 <= box.y0, text.get_text()
-            assert box.x1 <= width, text.get_text()
-            assert box.y1 <= height, text.get_text()
-        for (one, a), (two, b) in combinations(boxes, 2):
-            width = min(a.x1, b.x1) - max(a.x0, b.x0)
-            height = min(a.y1, b.y1) - max(a.y0, b.y0)
-            assert width < EDGE or height < EDGE, f"'{one.get_text()}' on '{two.get_text()}'"
+    figure = drawn(solution(), name)
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    figure.draw(renderer)
+    width, height = figure.canvas.get_width_height()
+    boxes = [(text, box) for text in texts(figure) for box in [text.get_window_extent(renderer)]]
+    for text, box in boxes:
+        assert box.x0 >= 0 <= box.y0, text.get_text()
+        assert box.x1 <= width, text.get_text()
+        assert box.y1 <= height, text.get_text()
+    for (one, a), (two, b) in combinations(boxes, 2):
+        width = min(a.x1, b.x1) - max(a.x0, b.x0)
+        height = min(a.y1, b.y1) - max(a.y0, b.y0)
+        assert width < EDGE or height < EDGE, f"'{one.get_text()}' on '{two.get_text()}'"
 
 
 def texts(figure: Figure) -> list[object]:
@@ -127,7 +125,7 @@ DEFICIENCIES = {
 
 
 def test_forces_of_thrusters_are_drawn_between_their_limits() -> None:
-    (figure,) = drawn(flight(), "base")
+    figure = drawn(flight(), "base")
     (axes,) = (axes for axes in panels(figure) if axes.get_ylabel() == "force u [N]")
     assert {f"rotor_{i}" for i in range(4)} <= {line.get_label() for line in axes.lines}
     levels = {float(line.get_ydata()[0]) for line in axes.lines if len(set(line.get_ydata())) == 1}
@@ -193,7 +191,7 @@ def test_an_iterate_that_is_not_finite_is_plotted_as_far_as_it_goes(tmp_path: Pa
         drawn(broken, "joints"), "position:" + limbs_of(track_of(broken).axes, broken.model)[0].name
     )
     assert all(0 < t.max() < solution.t[-1] for t, _ in shown.values())
-    figure = drawn(broken, "summary")[0]
+    figure = drawn(broken, "summary")
     said = " ".join(text.get_text() for text in figure.findobj(Text))
     assert "NOT SOLVED" in said
     assert "NOT FINITE" in said
@@ -204,9 +202,9 @@ def test_an_iterate_that_is_not_finite_is_plotted_as_far_as_it_goes(tmp_path: Pa
 def test_one_interval_and_one_joint_are_enough(actuation: str) -> None:
     robot = one_joint_arm()
     tracks = tracks_of([sampled(robot, [arm_motion(robot)], 1, actuation=actuation)])
-    pages = pages_of(tracks, list(PAGES))
-    assert panels(figure_of(pages, tracks))
-    assert "joints" in {page.name for page in pages}
+    sheet = sheet_of(tracks, list(TOPICS))
+    assert panels(sheet.figure)
+    assert "joints" in sheet.topics
 
 
 def test_a_robot_in_a_plane_shows_what_moves_in_it(tmp_path: Path) -> None:
@@ -221,7 +219,7 @@ def test_a_robot_in_a_plane_shows_what_moves_in_it(tmp_path: Path) -> None:
 def test_solutions_are_overlaid_with_a_line_of_their_own() -> None:
     solution = arm()
     other = with_meta(solution, simulation={})
-    figure = drawn(solution, "joints", other)[0]
+    figure = drawn(solution, "joints", other)
     styles: dict[str, list[str]] = {}
     for line in panels(figure)[0].get_lines():
         if not str(line.get_label()).startswith("_"):
@@ -247,7 +245,8 @@ def test_every_ending_is_written_and_html_needs_no_network(tmp_path: Path) -> No
     assert 'href="http' not in page
     ids = [part.split('"')[0] for part in page.split(' id="')[1:]]
     assert len(ids) == len(set(ids))
-    assert b"/MediaBox [ 0 0 595.44 841.68 ]" in (tmp_path / "arm.pdf").read_bytes()  # A4
+    document = (tmp_path / "arm.pdf").read_bytes()
+    assert document.count(b"/MediaBox [ 0 0 595.44 ") == 2  # a page for each topic, as wide as A4
     for name in ("problem", "iterations", "torque beyond its limit", "local error of one interval"):
         assert name in page
 

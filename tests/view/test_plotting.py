@@ -63,10 +63,10 @@ def test_momentum_is_that_of_numeric_pinocchio() -> None:
 def test_curves_pass_through_collocation_points() -> None:
     solution = jump()
     track = track_of(solution)
-    figures = drawn(solution, "joints")
+    figure = drawn(solution, "joints")
     for limb in limbs_of(track.axes, solution.model):
         for name, axis in zip(limb.short, limb.axes, strict=True):
-            t, y = lines(figures, f"position:{limb.name}")[name]
+            t, y = lines(figure, f"position:{limb.name}")[name]
             motion = [q[axis.column] for q, _ in states(solution, t)]
             use = inner(solution, t)
             assert_allclose(y[use], np.array(motion)[use], atol=ROUNDING)
@@ -97,7 +97,7 @@ def test_a_limit_is_drawn_where_values_come_near_it() -> None:
     solution = jump()
     most = np.abs(solution.tau).max(axis=0)
     limited = solution.with_description(effort_limit=np.array([1.05 * most[0], 1e3 * most[1]]))
-    figure = drawn(limited, "joints")[0]
+    figure = drawn(limited, "joints")
     axes = next(axes for axes in panels(figure) if "torque" in axes.get_label())
     levels = {round(float(line.get_ydata()[0]), 6) for line in axes.get_lines() if len(line.get_ydata()) == 2}
     assert any(abs(abs(level) - 1.05 * most[0]) < 1e-5 for level in levels)
@@ -129,7 +129,7 @@ def words_of(figure: Figure) -> str:
 def test_panels_with_placeholders_are_scaled_by_what_is_used_and_say_so(
     unlimited: Solution, kind: str
 ) -> None:
-    figure = drawn(unlimited, "joints")[0]
+    figure = drawn(unlimited, "joints")
     shown = [axes for axes in panels(figure) if axes.get_label().startswith(kind)]
     used = used_of(unlimited)[kind]
     assert shown
@@ -141,7 +141,7 @@ def test_panels_with_placeholders_are_scaled_by_what_is_used_and_say_so(
 def test_maps_with_placeholders_are_of_the_largest_value_used_and_say_so(
     unlimited: Solution, page: str
 ) -> None:
-    figure = drawn(unlimited, page)[0]
+    figure = drawn(unlimited, page)
     for kind, used in used_of(unlimited).items():
         image = next(a for a in panels(figure) if a.get_label() == f"share:{kind}:0").get_images()[0]
         assert np.nanmax(np.asarray(image.get_array())) == pytest.approx(1.0, abs=0.02)
@@ -150,7 +150,7 @@ def test_maps_with_placeholders_are_of_the_largest_value_used_and_say_so(
 
 
 def test_shares_of_placeholders_are_curves_that_fill_their_panel(unlimited: Solution) -> None:
-    figure = drawn(unlimited, "limits")[0]
+    figure = drawn(unlimited, "limits")
     axes = next(axes for axes in panels(figure) if axes.get_label() == "used:torque")
     assert axes.get_ylim()[1] < 1.5 * used_of(unlimited)["torque"] / PLACEHOLDER
     assert "limit 1, beyond the axis" in words_of(figure)
@@ -161,35 +161,35 @@ def test_limits_that_matter_are_not_called_beyond_the_axis() -> None:
     most = np.abs(solution.tau).max()
     for limit in (1.01 * most, 1.3 * most):
         limited = solution.with_description(effort_limit=np.full(solution.tau.shape[1], float(limit)))
-        assert "N m, beyond" not in words_of(drawn(limited, "joints")[0])
+        assert "N m, beyond" not in words_of(drawn(limited, "joints"))
 
 
 @pytest.mark.parametrize("page", ["summary", "limits"])
 def test_maps_have_a_colour_bar(page: str) -> None:
-    bars = [axes for axes in panels(drawn(jump(), page)[0]) if axes.get_label() == "scale"]
+    bars = [axes for axes in panels(drawn(jump(), page)) if axes.get_label() == "scale"]
     assert len(bars) == 1
     assert [label.get_text() for label in bars[0].get_yticklabels()] == ["0", "50", "100 %"]
 
 
 def test_the_summary_of_a_legged_robot_shows_torques() -> None:
     solution = jump()
-    figures = drawn(solution, "summary")
+    figure = drawn(solution, "summary")
     limb = limbs_of(track_of(solution).axes, solution.model)[0]
-    shown = lines(figures, f"torque:{limb.name}")
+    shown = lines(figure, f"torque:{limb.name}")
     assert set(shown) == set(limb.short)
     for name, axis in zip(limb.short, limb.axes, strict=True):
         assert_allclose(np.abs(shown[name][1]).max(), np.abs(solution.tau[:, axis.torque]).max(), rtol=0.05)
 
 
 def test_friction_cones_have_a_legend() -> None:
-    words = words_of(drawn(jump(), "forces")[0])
+    words = words_of(drawn(jump(), "forces"))
     assert "f\u209c \u2264 \u03bc f\u2099" in words
     assert "\u03bc = " in words
 
 
 def test_curves_of_several_feet_differ_by_line_style_and_in_the_legend_too() -> None:
     solution = standing()
-    figure = drawn(solution, "summary")[0]
+    figure = drawn(solution, "summary")
     axes = next(axes for axes in panels(figure) if axes.get_label() == "normal")
     styles = {repr(line._unscaled_dash_pattern) for line in axes.get_lines()}  # type: ignore[attr-defined]
     assert len(axes.get_lines()) == len(styles) == len(solution.contact_frames) == 4
@@ -199,7 +199,7 @@ def test_curves_of_several_feet_differ_by_line_style_and_in_the_legend_too() -> 
 
 def test_curves_of_several_solutions_keep_the_solutions_line_style_and_differ_by_width() -> None:
     solution = standing()
-    figure = drawn(solution, "summary", solution)[0]
+    figure = drawn(solution, "summary", solution)
     axes = next(axes for axes in panels(figure) if axes.get_label() == "normal")
     curves = [line for line in axes.get_lines() if line.get_linestyle() != "None"]  # no points
     first, second = curves[:4], curves[4:]

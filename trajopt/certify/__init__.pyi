@@ -3,12 +3,6 @@ from .contact.contact_dynamics import InverseDynamics as InverseDynamics
 from .contact.contact_dynamics import actuated_force as actuated_force
 from .contact.contact_dynamics import forward_dynamics as forward_dynamics
 from .contact.contact_dynamics import inverse_dynamics as inverse_dynamics
-from .contact.contact_projection import ContactTorques as ContactTorques
-from .contact.contact_projection import consistent_projector as consistent_projector
-from .contact.contact_projection import least_norm_inverse_dynamics as least_norm_inverse_dynamics
-from .contact.contact_projection import null_space_projector as null_space_projector
-from .contact.contact_projection import projected_forward_dynamics as projected_forward_dynamics
-from .contact.contact_projection import projected_inverse_dynamics as projected_inverse_dynamics
 from .contact.contact_set import ContactSet as ContactSet
 from .contact.friction import cone_margins as cone_margins
 from .contact.impact import impact as impact

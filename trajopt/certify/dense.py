@@ -15,7 +15,7 @@ from trajopt.solution.arrays import REQUESTS, SAMPLED
 from trajopt.solution.solution import Solution
 
 # Samples nearer than this fraction of an interval are the same.
-SAME = 1e-6
+LEAST_STEP = 1e-6
 # Rounds of sampling around the worst: the second parabola is off by at most a tenth of the first's width.
 ROUNDS = 2
 # Local maxima of a figure sampled in each round: its highest sample may not be next to its highest peak.
@@ -84,7 +84,7 @@ def _joined(one: DenseMotion, other: DenseMotion) -> DenseMotion:
 
 def _gaps(numbers: np.ndarray, fractions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return interval numbers and fractions of the midpoints between neighbouring samples."""
-    wide = (np.diff(numbers) == 0) & (np.diff(fractions) > SAME)
+    wide = (np.diff(numbers) == 0) & (np.diff(fractions) > LEAST_STEP)
     return numbers[:-1][wide], ((fractions[:-1] + fractions[1:]) / 2)[wide]
 
 
@@ -92,8 +92,8 @@ def _vertices(dense: DenseMotion) -> tuple[np.ndarray, np.ndarray]:
     """Return intervals and fractions of the vertices of parabolas through the worst samples of figures."""
     numbers, fractions = dense.plan.interval, dense.fractions
     order = np.lexsort((fractions, numbers))
-    inner = (numbers[order[:-2]] == numbers[order[2:]]) & (np.diff(fractions[order], n=1)[:-1] > SAME)
-    inner &= np.diff(fractions[order], n=1)[1:] > SAME
+    inner = (numbers[order[:-2]] == numbers[order[2:]]) & (np.diff(fractions[order], n=1)[:-1] > LEAST_STEP)
+    inner &= np.diff(fractions[order], n=1)[1:] > LEAST_STEP
     before, middle, after = (order[i : len(order) - 2 + i][inner] for i in range(3))
     wanted: list[tuple[int, float]] = []
     for trace in dense.traces.values():
@@ -102,7 +102,7 @@ def _vertices(dense: DenseMotion) -> tuple[np.ndarray, np.ndarray]:
     known: dict[int, list[float]] = {}
     for number, fraction in wanted:
         others = known.setdefault(number, [])
-        if all(abs(fraction - other) > SAME for other in others):
+        if all(abs(fraction - other) > LEAST_STEP for other in others):
             others.append(fraction)
     chosen = [(number, fraction) for number, inside in known.items() for fraction in inside]
     return np.array([n for n, _ in chosen], dtype=int), np.array([f for _, f in chosen])
@@ -126,7 +126,7 @@ def _peaks(
         x = fractions[[order[i] for order in rows]]
         y = np.array([part[i, column] for part in (left, peak, right)])
         vertices.append((int(rows[1][i]), _vertex(x, y)))
-    return [(row, fraction) for row, fraction in vertices if np.abs(fractions[row] - fraction) > SAME]
+    return [(row, fraction) for row, fraction in vertices if np.abs(fractions[row] - fraction) > LEAST_STEP]
 
 
 def _vertex(x: np.ndarray, y: np.ndarray) -> float:

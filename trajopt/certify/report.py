@@ -121,17 +121,41 @@ class Figure:
     why: str = ""  # shown instead of a tolerance
 
 
-def _figure(
-    text: str,
-    unit: str,
-    tolerance: str | None = None,
-    *,
-    margin: bool = False,
-    least: bool = False,
-    why: str = "",
-) -> Any:
+@dataclass(frozen=True, kw_only=True)
+class MeasuredFigure:
+    """A figure of a motion with its verdict.
+
+    Args:
+        text: what it is.
+        value: in its unit.
+        unit: as text.
+        limit: the bound of the value; None if it is not judged.
+        lower: whether the limit is a lower bound.
+        why: why it is not judged.
+        beyond: whether the value is beyond its limit.
+        place: where it is worst.
+    """
+
+    text: str
+    value: float
+    unit: str
+    limit: float | None = None
+    lower: bool = False
+    why: str = ""
+    beyond: bool = False
+    place: Occurrence | None = None
+
+    def line(self, width: int) -> str:
+        """Return a line of a table; ``width`` is that of the text."""
+        allowed = self.why if self.limit is None else f"{self.limit:10.0e}"
+        verdict, place = "beyond" if self.beyond else "", "" if self.place is None else self.place
+        figure = f"{self.text:{width}}{self.value:12.3e}  {self.unit:14}"
+        return f"{figure}{allowed:>10}  {verdict:6}  {place}".rstrip()
+
+
+def _figure(text: str, unit: str, tolerance: str | None = None, **presentation: Any) -> Any:
     """Return a field of the report with its presentation."""
-    figure = Figure(text=text, unit=unit, tolerance=tolerance, margin=margin, least=least, why=why)
+    figure = Figure(text=text, unit=unit, tolerance=tolerance, **presentation)
     return field(metadata={"figure": figure})
 
 
@@ -300,7 +324,28 @@ class CheckReport:
         limits = tolerances or Tolerances()
         return {name: ratio for name in FIGURES if (ratio := self._ratio(name, limits)) is not None}
 
-    def said(self, name: str) -> str:
+    def figures(self, tolerances: Tolerances | None = None) -> tuple[MeasuredFigure, ...]:
+        """Return the figures that apply, with their limits and verdicts."""
+        limits, measured = tolerances or Tolerances(), []
+        for name, figure in FIGURES.items():
+            value = getattr(self, name)
+            limit = None if figure.tolerance is None else getattr(limits, figure.tolerance)
+            if value is not None:
+                measured.append(
+                    MeasuredFigure(
+                        text=figure.text,
+                        value=value,
+                        unit=figure.unit,
+                        limit=-limit if figure.margin and limit is not None else limit,
+                        lower=figure.margin or figure.least,
+                        why=figure.why,
+                        beyond=self._fails(name, limits),
+                        place=self.places.get(name),
+                    )
+                )
+        return tuple(measured)
+
+    def in_words(self, name: str) -> str:
         """Return a figure in words: text, value, unit and place."""
         figure, place = FIGURES[name], self.places.get(name)
         where = "" if place is None else f" at {place}"
@@ -327,23 +372,14 @@ class CheckReport:
         failures = self.failures(tolerances)
         figures = {name: getattr(self, name) for name in FIGURES}
         phases = [asdict(phase) for phase in self.phases]
-        places = {name: place.to_dict() for name, place in self.places.items()}
+        places = {name: asdict(place) for name, place in self.places.items()}
         verdict = {"ok": not failures, "failures": failures}
         return jsonable({**verdict, **figures, "phases": phases, "places": places, "notes": self.notes})
 
     def table(self, tolerances: Tolerances | None = None) -> str:
         """Return one figure a line with unit, tolerance and verdict, then the phases and notes."""
-        limits = tolerances or Tolerances()
         lines = [f"{'':42}{'value':>12}  {'unit':14}{'tolerance':>10}          worst at"]
-        for name, figure in FIGURES.items():
-            value = getattr(self, name)
-            limit = None if figure.tolerance is None else getattr(limits, figure.tolerance)
-            allowed = figure.why if limit is None else f"{-limit if figure.margin else limit:10.0e}"
-            verdict = "beyond" if self._fails(name, limits) else ""
-            if value is not None:
-                place = self.places.get(name, "")
-                line = f"{figure.text:42}{value:12.3e}  {figure.unit:14}{allowed:>10}  {verdict:6}  {place}"
-                lines.append(line.rstrip())
+        lines += [figure.line(42) for figure in self.figures(tolerances)]
         for phase in self.phases:
             lines.append(_phase_line(phase))
         lines += [f"note: {text}" for text in self.notes]

@@ -71,7 +71,7 @@ def solve_aimed(
     """Solve, measure and refine, with progress."""
     from trajopt.solving.budget import solve_within
     from trajopt.solving.graded import solve_graded
-    from trajopt.solving.time_limits import BESIDE
+    from trajopt.solving.time_limits import OVERHEAD_TIME
 
     accuracy, budget = arguments.pop("accuracy"), arguments.pop("budget")
     if accuracy is not None and budget is not None:
@@ -80,7 +80,7 @@ def solve_aimed(
         if is_given(name):
             raise InputError(f"--{name} is given with --accuracy or --budget", "allowed: one of them")
         del arguments[name]
-    with watched(title, arguments["max_time"] + BESIDE, log, viewer) as callbacks:
+    with watched(title, arguments["max_time"] + OVERHEAD_TIME, log, viewer) as callbacks:
         settings = {**arguments, **callbacks}
         if accuracy is not None:
             result = solve_graded(problem, accuracy=accuracy, **settings)

@@ -27,7 +27,7 @@ from trajopt.cli.report import console, plain_table, to_json
 from trajopt.errors import InputError
 
 if TYPE_CHECKING:
-    from trajopt.study.batch.dataset import BatchDataset
+    from trajopt.study.batch.batch import BatchDataset
     from trajopt.study.batch.variation import BatchCase
 
 # Options that choose the cases; with --resume alone they are those of the folder.
@@ -148,48 +148,34 @@ def _run(
     from trajopt.study.batch.engine import run_batch
     from trajopt.study.batch.records import BatchRecords
     from trajopt.study.batch.solved_case import BatchSettings
-    from trajopt.study.cluster import chosen_cluster
-    from trajopt.study.suite.versions import versions
-    from trajopt.study.workers.display import TaskDisplay
+    from trajopt.study.display import TaskDisplay
+    from trajopt.study.records import versions
+    from trajopt.study.tasks import open_workers
 
     chosen = BatchSettings(**settings)
 
     def run(check: Callable[[], None]) -> None:
         with (
-            chosen_cluster(scheduler, jobs) as cluster,  # first: without a scheduler no folder is made
+            open_workers(scheduler=scheduler, jobs=jobs) as workers,  # first: else a folder may be left
             BatchRecords(folder, cases, chosen, versions(), resume=resume) as records,
             TaskDisplay("batch", len(cases), len(records.solved)) as display,
         ):
-            named = _Named(display, len(cases), records.solved)
-
-            def check_both() -> None:
-                check()
-                cluster.check()
-
-            rows = run_batch(
-                cases,
-                chosen,
-                records,
-                cluster.executor,
-                window=cluster.window,
-                check=check_both,
-                show=display.show,
-            )
-            for row in rows:
-                named.tell(row, cases[row["case"]])
+            lines = _ProgressLines(display, len(cases), records.solved)
+            for row in run_batch(cases, chosen, records, workers.watched(check, display.show)):
+                lines.add(row, cases[row["case"]])
 
     return runs_to_its_end(run)
 
 
-class _Named:
+class _ProgressLines:
     """Lines on stderr: the first cases that are not solved, and each tenth of the batch."""
 
     def __init__(self, display: Any, total: int, known: dict[int, bool]) -> None:
         self._display, self._total = display, total
         self._done, self._solved, self._failed = len(known), sum(known.values()), 0
 
-    def tell(self, row: dict[str, Any], case: BatchCase) -> None:
-        """Say what has become of a case."""
+    def add(self, row: dict[str, Any], case: BatchCase) -> None:
+        """Count a case that has ended."""
         before = 10 * self._done // self._total
         self._done += 1
         self._solved += row["success"]
@@ -218,7 +204,7 @@ def _list(cases: list[BatchCase], as_json: bool) -> int:
 
 
 def _status(folder: Path, problem: str | None, as_json: bool) -> int:
-    from trajopt.study.batch.dataset import dataset
+    from trajopt.study.batch.batch import dataset
 
     if problem is not None:
         raise InputError(f"--status is given with problem {problem}", "allowed: --status DIR alone")
@@ -228,8 +214,8 @@ def _status(folder: Path, problem: str | None, as_json: bool) -> int:
 
 
 def _report(folder: Path, as_json: bool, complete: bool) -> int:
-    from trajopt.study.batch.dataset import dataset
-    from trajopt.study.batch.plot import plot_failures
+    from trajopt.study.batch.batch import dataset
+    from trajopt.study.batch.report import plot_failures
 
     results = dataset(folder)
     title = f"{results.cases[0].problem}: {len(results)} of {results.index.num_rows} cases solved"
@@ -241,7 +227,7 @@ def _report(folder: Path, as_json: bool, complete: bool) -> int:
 
 
 def _print(results: BatchDataset, as_json: bool, plot: Path | None) -> None:
-    from trajopt.study.batch.summary import outcomes, regions
+    from trajopt.study.batch.report import outcomes, regions
 
     counts, parts = outcomes(results.index), regions(results.index, results.parameters)
     done, total = results.index.num_rows, len(results.cases)

@@ -20,6 +20,7 @@ from trajopt.cli.input import (
     tolerance_option,
     value_option,
 )
+from trajopt.cli.interruption import CANCELLED, INTERRUPTION
 from trajopt.cli.progress import open_viewer, show_until_interrupted, watch_options, watched
 from trajopt.cli.report import console, plain_table, say, to_json
 from trajopt.cli.warm import cost
@@ -68,13 +69,13 @@ def continue_command(
     Every value is solved from the last solution, until its motion holds at any time, on the mesh of the last
     one, refined where it misses; --transcription or --intervals name a mesh that stays. A step that fails is
     halved. With --compare every value is also solved from its default guess, and the time saved is printed.
-    Exit status 0 when every value has a motion that holds, 1 when not.
+    Exit status 0 when every value has a motion that holds, 1 when not, 130 after Ctrl-C.
     """
     from trajopt.problem.catalogue import families
     from trajopt.problem.family import choose
     from trajopt.solution.input import solution_of
     from trajopt.solving.continuation import continuation
-    from trajopt.solving.time_limits import BESIDE
+    from trajopt.solving.time_limits import OVERHEAD_TIME
 
     family, fixed = choose(families(), problem), parse_settings(settings, "--set")
     name, values = parse_vary(family, vary, fixed)
@@ -91,18 +92,23 @@ def continue_command(
     folder = output_dir and _folder(output_dir, problem)
     viewer = open_viewer(watch)
     each = 2 + 2 * arguments["max_halvings"] + arguments["compare"]
-    most = (arguments["max_time"] + BESIDE) * len(values) * each
+    most = (arguments["max_time"] + OVERHEAD_TIME) * len(values) * each
     with watched(problem, most, log, viewer) as callbacks:
         result = continuation(load, values, **callbacks, **arguments)
     files = {}
-    if folder is not None:
+    if folder is not None and result.solutions:
+        folder.mkdir(parents=True, exist_ok=True)
         for value, solution in result.solutions.items():
             files[f"{value:.9g}"] = str(solution.save(folder / targets[value]))
     if as_json:
         say(to_json({"problem": problem, "parameter": name, "files": files, **result.to_dict()}))
     else:
         _print(result, problem, name, files)
+    interrupted = INTERRUPTION.stops
     show_until_interrupted(viewer, result.steps[-1].solution)
+    if interrupted and not result.success:
+        say("trajopt: cancelled", err=True)
+        return CANCELLED
     return 0 if result.success else NOT_REACHED
 
 
@@ -128,12 +134,12 @@ def parse_vary(family: Family, text: str, fixed: dict[str, str]) -> tuple[str, l
 
 
 def _folder(path: Path, problem: str) -> Path:
-    """Return the folder, created if missing; raises `InputError` if no solution can be written there."""
+    """Return the folder, which may be new; raises `InputError` if no solution can be written there."""
     folder = expanded(path)
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"--output-dir {folder} is not a folder", "allowed: a folder, or a new one")
-    folder.mkdir(parents=True, exist_ok=True)
-    check_output(folder / f"{problem}.npz")
+    known = next(place for place in (folder, *folder.parents) if place.exists())
+    if not known.is_dir():
+        raise InputError(f"--output-dir {known} is not a folder", "allowed: a folder, or a new one")
+    check_output(known / f"{problem}.npz")
     return folder
 
 

@@ -80,7 +80,7 @@ def discover_command(
     the best. All are solved with hard contacts and free durations on a coarse mesh, the best of them until
     their motion holds at any time. Exit status 0 where one does, 1 where none does.
     """
-    from trajopt.discovery.gait_likeness import nearest_gait
+    from trajopt.discovery.proposals import nearest_gait
     from trajopt.discovery.search import discover, nearest_reached
 
     if resume and output_dir is None:
@@ -91,11 +91,12 @@ def discover_command(
     make = _tasks(problem, settings, goal, terrain, time, periodic=periodic)
     task, shown = make(1.0), console()
 
-    def told(candidate: Candidate) -> None:
+    def show(candidate: Candidate) -> None:
         if not as_json:
             shown.print(_line(candidate), highlight=False)
 
-    discovery = discover(task, known=not no_known, folder=output_dir, resume=resume, told=told, **arguments)
+    arguments["known"] = not no_known
+    discovery = discover(task, folder=output_dir, resume=resume, on_candidate=show, **arguments)
     best = discovery.best
     modes = best[0].modes if best else None
     if modes is not None and schedule_out is not None:
@@ -108,9 +109,7 @@ def discover_command(
     else:
         _print(discovery, None if modes is None else nearest_gait(task, modes))
     if not best and goal and not as_json:
-        near = nearest_reached(
-            make, known=not no_known, **(arguments | {"seeds": min(arguments["seeds"], 2)})
-        )
+        near = nearest_reached(make, **(arguments | {"seeds": min(arguments["seeds"], 2)}))
         reached = "none of a half, a quarter and an eighth of the way is reached"
         if near is not None:
             reached = f"{near[0]:g} of the way is reached: objective {near[1].best[0].objective:.5g}"

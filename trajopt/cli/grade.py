@@ -65,7 +65,7 @@ def solve_to_grade(
 ) -> SolveReport:
     """Solve, examine and refine, with progress; a mesh that is named stays."""
     from trajopt.solving.graded import MOST_ROUNDS, solve_graded
-    from trajopt.solving.time_limits import BESIDE
+    from trajopt.solving.time_limits import OVERHEAD_TIME
     from trajopt.transcription.transcription import chosen_mesh
 
     named = _names_mesh(arguments)
@@ -74,7 +74,7 @@ def solve_to_grade(
     grid = arguments.pop("transcription"), arguments.pop("intervals")
     mesh = chosen_mesh(problem, *grid) if named else None
     rounds = 1 if arguments.pop("draft") else MOST_ROUNDS
-    with watched(title, arguments["max_time"] + BESIDE, log, viewer) as callbacks:
+    with watched(title, arguments["max_time"] + OVERHEAD_TIME, log, viewer) as callbacks:
         result = solve_graded(
             problem, mesh=mesh, refine=not named, max_rounds=rounds, **callbacks, **arguments
         )
@@ -90,14 +90,14 @@ def solve_whole(problem: Problem, lifted: Solution, arguments: dict[str, Any]) -
     from trajopt.certify.check import check
     from trajopt.solution.grid import mesh_of
     from trajopt.solving.graded import solve_graded
-    from trajopt.solving.time_limits import BESIDE
+    from trajopt.solving.time_limits import OVERHEAD_TIME
 
     if not lifted.success or check(lifted, integrate=False).ok:
         return lifted, []
     settings = {key: arguments[key] for key in SOLVER_SETTINGS}
     refine = not _names_mesh(arguments)
     title = f"{arguments['title']}, whole robot"
-    with watched(title, arguments["max_time"] + BESIDE, None, arguments["viewer"]) as callbacks:
+    with watched(title, arguments["max_time"] + OVERHEAD_TIME, None, arguments["viewer"]) as callbacks:
         result = solve_graded(
             problem, mesh=mesh_of(lifted), start=lifted, refine=refine, **callbacks, **settings
         )

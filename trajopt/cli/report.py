@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -29,6 +30,9 @@ STATED = (
     *("constraints", "max_violation", "worst_blocks", "wall_time_s", "function_time_s", "build_time_s"),
     *("compile_time_s", "solver", "transcription", "tolerance", "seed", "perturb", "warm_start"),
 )
+
+# An argument in a message of the library: `name` or `name=value`.
+ARGUMENT = re.compile(r"`([a-z_]+)(?:=([^`]*))?`")
 
 # A cost of transport beyond this is that of a motion on the spot, for which it means nothing.
 MOST_TRANSPORT = 10.0
@@ -88,11 +92,21 @@ def solve_dict(solution: Solution, report: CheckReport | None, file: Path | None
 
 
 def printable(text: object) -> str:
-    """Text with its control characters, which a name from a file may have, as Python's `repr` shows them."""
-    return "".join(
+    """Text for the terminal.
+
+    Control characters, which a name from a file may have, appear as in Python's `repr`. Arguments that the
+    library names in backticks become flags: ``--cycles 1`` for `cycles=1`.
+    """
+    escaped = "".join(
         each if each.isprintable() or each in "\n\t" else each.encode("unicode_escape").decode()
         for each in str(text)
     )
+    return ARGUMENT.sub(_flag, escaped.replace("`to_dict()`", "--json"))
+
+
+def _flag(argument: re.Match[str]) -> str:
+    name, value = argument.groups()
+    return f"--{name.replace('_', '-')}{'' if value is None else f' {value}'}"
 
 
 def say(text: object = "", err: bool = False) -> None:

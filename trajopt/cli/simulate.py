@@ -180,7 +180,7 @@ def push_command(
     the robot does not fall. Directions are degrees from the base's front, counter-clockwise.
     """
     from trajopt.simulation.push import CONTROLLERS, largest_pushes
-    from trajopt.view.plotting.pushes import check_push_plot, write_push_plot
+    from trajopt.view.plotting.writing import check_push_plot, write_push_plot
 
     check_apart([output], [file])
     if output is not None:

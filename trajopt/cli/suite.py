@@ -25,9 +25,9 @@ from trajopt.solution.output import check_output
 
 if TYPE_CHECKING:
     from trajopt.study.suite.cases import Case
+    from trajopt.study.suite.engine import SuiteRecords
     from trajopt.study.suite.outcome import Outcome
-    from trajopt.study.suite.records import SuiteRecords
-    from trajopt.study.suite.settings import SuiteSettings
+    from trajopt.study.suite.run import SuiteSettings
 
 # Width in columns of a table that is written to a file or a pipe: no column is folded.
 PIPE_WIDTH = 180
@@ -102,12 +102,12 @@ def suite(
     Ctrl-C, which prints the results so far.
     """
     from trajopt.problem.catalogue import families
+    from trajopt.study.records import versions
     from trajopt.study.suite import data
     from trajopt.study.suite.cases import all_cases, select
-    from trajopt.study.suite.records import SuiteRecords
-    from trajopt.study.suite.settings import SuiteSettings
+    from trajopt.study.suite.engine import SuiteRecords
+    from trajopt.study.suite.run import SuiteSettings
     from trajopt.study.suite.table import to_dict
-    from trajopt.study.suite.versions import versions
 
     settings, known = SuiteSettings(**arguments), families()
     cases = select(known, problems, robots)
@@ -142,7 +142,7 @@ def suite(
 
 
 def _falls(outcomes: Sequence[Outcome]) -> bool:
-    from trajopt.study.suite.physics import FELL
+    from trajopt.study.suite.outcome import FELL
 
     return any(outcome.physics is not None and outcome.physics.word == FELL for outcome in outcomes)
 
@@ -156,23 +156,22 @@ def _run(
     scheduler: str | None,
 ) -> tuple[list[Outcome], bool]:
     """Outcomes sorted by pair, and whether all pairs were run: after Ctrl-C only those finished so far."""
-    from trajopt.study.cluster import chosen_cluster
-    from trajopt.study.suite.pool import run_all
+    from trajopt.study.display import TaskDisplay
+    from trajopt.study.suite.engine import run_suite
     from trajopt.study.suite.table import outcome_line
-    from trajopt.study.workers.display import TaskDisplay
+    from trajopt.study.tasks import open_workers
 
     outcomes: list[Outcome] = []
 
     def run(check: Callable[[], None]) -> None:
-        with chosen_cluster(scheduler, jobs) as cluster:  # first: without a scheduler no results are touched
+        # First: without a scheduler no results are touched.
+        with open_workers(scheduler=scheduler, jobs=jobs) as workers:
             known = records.open(resume=resume)
             outcomes.extend(known[case.name] for case in cases if case.name in known)
             missing = [case for case in cases if case.name not in known]
             with TaskDisplay("suite", len(cases), len(outcomes)) as display:
-                running = run_all(
-                    missing, settings, cluster=cluster, records=records, check=check, show=display.show
-                )
-                for outcome in running:
+                watched = workers.watched(check, display.show)
+                for outcome in run_suite(missing, settings, records, watched):
                     records.add(outcome)
                     outcomes.append(outcome)
                     display.finished(f"{len(outcomes)}/{len(cases)} {outcome_line(outcome)}")

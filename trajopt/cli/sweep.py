@@ -95,13 +95,12 @@ def sweep(
     runs.csv, settings.csv, front.csv and front.png. Exit status 0 when the default setting was solved, 1 when
     not, 130 after Ctrl-C: the results so far are written, and --resume continues from them.
     """
-    from trajopt.study.suite.versions import versions
-    from trajopt.study.sweep.cores import cores_for
+    from trajopt.study.records import versions
+    from trajopt.study.sweep.engine import cores_for
     from trajopt.study.sweep.plan import AXES, make_plan
     from trajopt.study.sweep.plot import plot
     from trajopt.study.sweep.records import SweepRecords, SweepRequest
-    from trajopt.study.sweep.summary import summarize
-    from trajopt.study.sweep.tables import write_tables
+    from trajopt.study.sweep.summary import summarize, write_tables
 
     named = {axis: arguments.pop(axis) for axis in AXES}
     request = SweepRequest(problem=problem, values=parse_settings(values, "--set"), **arguments)
@@ -129,8 +128,8 @@ def sweep(
 
 def _run(request: SweepRequest, plan: SweepPlan, records: SweepRecords, cores: Sequence[int]) -> bool:
     """Run the missing tasks; False after Ctrl-C."""
+    from trajopt.study.display import TaskDisplay
     from trajopt.study.sweep.engine import Sweep
-    from trajopt.study.workers.display import TaskDisplay
 
     settings, starts = len(plan.settings), len(request.starts)
 
@@ -140,7 +139,7 @@ def _run(request: SweepRequest, plan: SweepPlan, records: SweepRecords, cores: S
                 f"{settings} settings, {starts} starts each: {settings * starts} runs, "
                 f"{len(cores)} at a time, on core {', '.join(map(str, cores))}"
             )
-            Sweep(request, plan, records, cores, display, check).run()
+            Sweep(request, plan, records, cores, display, (check,)).run()
 
     return runs_to_its_end(run)
 
@@ -160,8 +159,7 @@ def _found(plan: SweepPlan, records: SweepRecords, settings: Sequence[dict[str, 
 
 def _print(plan: SweepPlan, records: SweepRecords, rows: Sequence[Summary]) -> None:
     """Print the table, with notes below it."""
-    from trajopt.study.sweep.summary import disturbance
-    from trajopt.study.sweep.tables import summary_table
+    from trajopt.study.sweep.summary import disturbance, summary_table
 
     reference, quiet = records.results.reference, disturbance(records.results)
     notes = [f"left out: {text}" for text in plan.left_out]

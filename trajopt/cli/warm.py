@@ -39,7 +39,7 @@ def solve_warm(
     """Solve from a file, over a ladder, or neither (a ladder of one rung), with progress."""
     from trajopt.solution.input import solution_of
     from trajopt.solving.ladder import solve_ladder
-    from trajopt.solving.time_limits import BESIDE
+    from trajopt.solving.time_limits import OVERHEAD_TIME
 
     grid = (settings.pop("transcription"), settings.pop("intervals"))
     if ladder is not None and grid != (None, None):
@@ -50,7 +50,7 @@ def solve_warm(
         raise InputError("--compare has nothing to compare", "allowed: with --start or --ladder")
     rungs = [grid] if ladder is None else parse_ladder(ladder)
     known = start and solution_of(start)
-    most = (settings["max_time"] + BESIDE) * (len(rungs) + compare)
+    most = (settings["max_time"] + OVERHEAD_TIME) * (len(rungs) + compare)
     with watched(title, most, log, viewer) as callbacks:
         result = solve_ladder(problem, rungs, start=known, compare=compare, **callbacks, **settings)
     solution = result.solution

@@ -64,7 +64,7 @@ def coal_hull(points: np.ndarray, radius: float = 0.0) -> Any:
 @lru_cache(maxsize=MOST_HULLS)
 def _hull_once(numbers: bytes, radius: float) -> Any:
     listed = coal.StdVec_Vec3s()
-    for point in thick(np.frombuffer(numbers).reshape(-1, 3)):
+    for point in thicken(np.frombuffer(numbers).reshape(-1, 3)):
         listed.append(point)
     hull = coal.Convex.convexHull(listed, True, "Qt")
     if radius > 0:
@@ -72,7 +72,7 @@ def _hull_once(numbers: bytes, radius: float) -> Any:
     return hull
 
 
-def thick(points: np.ndarray) -> np.ndarray:
+def thicken(points: np.ndarray) -> np.ndarray:
     """Return points (n, 3) m of a hull, moved apart by `THICKNESS` along axes without extent."""
     away = points - points.mean(axis=0)
     _, axes = np.linalg.eigh(away.T @ away)

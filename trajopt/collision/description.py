@@ -29,7 +29,7 @@ from trajopt.terrain.terrain import Terrain
 # Number of postures within the limits in which pairs are tested, and the fraction of overlaps above which a
 # pair is taken to touch always.
 POSTURES = 100
-ALWAYS = 0.95
+OVERLAP_SHARE = 0.95
 SEED = 0
 # Pairs that an SRDF disables for one of these reasons are still judged: the reason says that they were not
 # seen to touch, not that they may.
@@ -40,9 +40,9 @@ MOST_ROBOTS = 64
 OVERLAP = "in the reference posture"
 # Shapes of real robots are at most 1.2 times as large as the robot's reach, and at most 4 % of the pairs that
 # are not neighbours overlap in the reference posture. Beyond these limits a description is doubtful.
-OUTSIZED, MOST_OVERLAPPING = 5.0, 0.1
+MOST_SIZE, MOST_OVERLAPS = 5.0, 0.1
 # Largest number of shapes named in a warning.
-NAMED = 3
+NAMED_SHAPES = 3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -80,16 +80,16 @@ class RobotShapes:
         """Return warnings about these shapes on ``model``, one line each: their size, many overlaps."""
         length, lines = reach(model), []
         sizes = {shape.name: shape.extent / length for shape in self.shapes if length > 0}
-        outsized = sorted((name for name in sizes if sizes[name] > OUTSIZED), key=lambda name: -sizes[name])
+        outsized = sorted((name for name in sizes if sizes[name] > MOST_SIZE), key=lambda name: -sizes[name])
         if outsized:
-            named = ", ".join(outsized[:NAMED]) + (", ..." if len(outsized) > NAMED else "")
+            named = ", ".join(outsized[:NAMED_SHAPES]) + (", ..." if len(outsized) > NAMED_SHAPES else "")
             lines.append(
                 f"shapes up to {sizes[outsized[0]]:.0f} times as large as the robot's reach, {length:.3g} m:"
                 f' {named}; if their meshes are in mm, <mesh scale="0.001 0.001 0.001">'
             )
         overlapping = sum(OVERLAP in reason for reason in self.left_out.values())
         whole = overlapping + len(self.pairs)
-        if overlapping > MOST_OVERLAPPING * whole:
+        if overlapping > MOST_OVERLAPS * whole:
             share = f"{overlapping} of {whole} pairs of shapes ({100 * overlapping / whole:.0f} %)"
             lines.append(f"{share} are not judged, since they overlap {OVERLAP}")
         return tuple(lines)
@@ -247,7 +247,7 @@ def _overlapping(
     for pair, depth, part in zip(pairs, -distances[0], often, strict=True):
         if depth > 0:
             yield pair, f"overlap by {1e3 * depth:.1f} mm {OVERLAP}"
-        elif part >= ALWAYS:
+        elif part >= OVERLAP_SHARE:
             yield pair, f"overlap in {100 * part:.0f} % of all postures"
 
 

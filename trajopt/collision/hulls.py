@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.cache import read_entry, write_entry
-from trajopt.collision.coal_shapes import coal_hull, thick
+from trajopt.collision.coal_shapes import coal_hull, thicken
 from trajopt.collision.shapes import LinkShape, box_corners
 from trajopt.errors import InputError
 from trajopt.robot.data import VisualSource
@@ -23,10 +23,10 @@ from trajopt.robot.geometry import Purpose, described_geometry, mesh_vertices
 # Allowed excess of a simplified hull over the mesh's hull: over the mesh's extent, and its bounds in m.
 EXCESS = 0.005
 LEAST_EXCESS, MOST_EXCESS = 5e-4, 2e-3
-# Hulls with fewer than FEW corners are refined to this excess, m.
-FEW, EXACT = 48, 1e-4
+# Hulls with fewer than FEW_CORNERS corners are refined to this excess, m.
+FEW_CORNERS, FINE_EXCESS = 48, 1e-4
 # Corners outside by more than this fraction of the farthest are added together, one per face.
-FAR = 0.9
+FAR_SHARE = 0.9
 # Allowed excess of a prism over its cylinder: a fraction of the radius, or in m if that is larger.
 ROUND_EXCESS, LEAST_ROUND_EXCESS = 0.01, 3e-4
 # Accuracy of Coal's distance of a point from a hull, m; points of shapes are rounded to it.
@@ -74,7 +74,7 @@ def _maker() -> str:
 def _simplified(points: np.ndarray, fine: bool) -> tuple[np.ndarray, float]:
     from scipy.spatial import ConvexHull  # slow to import
 
-    solid = thick(points)
+    solid = thicken(points)
     whole = ConvexHull(solid)
     corners = solid[np.sort(whole.vertices)]
     extent = float(np.linalg.norm(np.ptp(corners, axis=0)))
@@ -88,7 +88,7 @@ def _simplified(points: np.ndarray, fine: bool) -> tuple[np.ndarray, float]:
         return np.round(corners, 6), 2 * ROUNDING
     hull = ConvexHull(corners[kept], incremental=True)
     while True:
-        enough = allowed if len(kept) >= FEW else EXACT
+        enough = allowed if len(kept) >= FEW_CORNERS else FINE_EXCESS
         over = corners @ hull.equations[:, :3].T + hull.equations[:, 3]
         outside, face = over.max(axis=1), over.argmax(axis=1)
         if outside.max() <= enough:
@@ -96,7 +96,7 @@ def _simplified(points: np.ndarray, fine: bool) -> tuple[np.ndarray, float]:
             if outside.max() <= enough:
                 break
         order = np.argsort(-outside, kind="stable")
-        order = order[outside[order] >= FAR * outside[order[0]]]
+        order = order[outside[order] >= FAR_SHARE * outside[order[0]]]
         new = order[np.sort(np.unique(face[order], return_index=True)[1])]
         kept += new.tolist()
         hull.add_points(corners[new])

@@ -26,13 +26,13 @@ from trajopt.terrain.surface import UP
 # is 0.1 m away from the nearest one nearer by as much.
 DEPTH = 0.01
 # Largest number of corners with a row, and their least distance from each other, m.
-MOST_CORNERS, APART = 3, 5e-3
+MOST_CORNERS, CORNER_SPACING = 3, 5e-3
 # Corners within this distance of the supporting plane, m, belong to the face that lies in it.
 FACE = 1e-3
 # Tolerance on the length of a unit direction: rounding of a search.
 UNIT = 1e-6
 # A foot may be this far on the wrong side of a plane, m: the error that solvers leave in its contact.
-NEARER = 1e-5
+FOOT_SLACK = 1e-5
 # Bisections in the search for a direction between two: to 1e-6 of their angle.
 HALVINGS = 20
 # Number of directions sampled on a circle, and of searches, each around the best direction so far.
@@ -110,13 +110,13 @@ def nearest(first: PlacedBody, second: PlacedBody, normal: np.ndarray) -> Approa
     """
     if second.normal is not None:
         return Approach(
-            first=first, second=second, normal=second.normal, distance=_apart(first, second, second.normal)
+            first=first, second=second, normal=second.normal, distance=_gap(first, second, second.normal)
         )
     way = first.placed.mean(axis=0) - second.placed.mean(axis=0)
     length = float(np.linalg.norm(way))
     searched = [normal, -normal] if abs(np.linalg.norm(normal) - 1) < UNIT else []
     directions = [*searched, way / length if length > 0 else np.array(UP), *second.sides]
-    distances = [_apart(first, second, direction) for direction in directions]
+    distances = [_gap(first, second, direction) for direction in directions]
     best = int(np.argmax(distances))
     return Approach(first=first, second=second, normal=directions[best], distance=distances[best])
 
@@ -129,7 +129,7 @@ def nearest_along(first: PlacedBody, second: PlacedBody, ways: np.ndarray) -> Ap
     """
 
     def apart(normal: np.ndarray) -> float:
-        return _apart(first, second, normal)
+        return _gap(first, second, normal)
 
     normal = max([*ways.T, *-ways.T], key=apart)
     if ways.shape[1] == 2:
@@ -150,7 +150,7 @@ def beyond_foot(approach: Approach, foot: PlacedBody, margin: float) -> Approach
     """
 
     def beyond(normal: np.ndarray) -> bool:
-        return _apart(foot, approach.second, normal) >= margin - NEARER
+        return _gap(foot, approach.second, normal) >= margin - FOOT_SLACK
 
     if approach.second.normal is not None or beyond(approach.normal):
         return approach
@@ -162,7 +162,7 @@ def beyond_foot(approach: Approach, foot: PlacedBody, margin: float) -> Approach
         middle = (near + far) / 2
         near, far = (near, middle) if beyond(_between(approach.normal, free, middle)) else (middle, far)
     normal = _between(approach.normal, free, far)
-    return replace(approach, normal=normal, distance=_apart(approach.first, approach.second, normal))
+    return replace(approach, normal=normal, distance=_gap(approach.first, approach.second, normal))
 
 
 def _between(one: np.ndarray, other: np.ndarray, part: float) -> np.ndarray:
@@ -172,7 +172,7 @@ def _between(one: np.ndarray, other: np.ndarray, part: float) -> np.ndarray:
     return sum_ / length if length > UNIT else other
 
 
-def _apart(first: PlacedBody, second: PlacedBody, normal: np.ndarray) -> float:
+def _gap(first: PlacedBody, second: PlacedBody, normal: np.ndarray) -> float:
     """Return the least height of the first body along a normal minus the greatest of the second, m."""
     solid = second.normal is None
     top = float((second.placed @ normal).max()) + second.radius if solid else second.height
@@ -217,7 +217,7 @@ def _nearest(points: np.ndarray, heights: np.ndarray) -> list[int]:
     near = order[heights[order] <= heights[order[0]] + DEPTH]
     chosen = [int(near[0])]
     away = np.linalg.norm(points[near] - points[chosen[0]], axis=1)
-    while len(chosen) < MOST_CORNERS and away.max() > APART:
+    while len(chosen) < MOST_CORNERS and away.max() > CORNER_SPACING:
         chosen.append(int(near[int(np.argmax(away))]))
         away = np.minimum(away, np.linalg.norm(points[near] - points[chosen[-1]], axis=1))
     return chosen

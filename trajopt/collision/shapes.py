@@ -10,10 +10,8 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from trajopt.arguments import Positive, checked
-from trajopt.errors import InputError, finite_array, numbers_of, require_not_negative, require_positive, shown
-from trajopt.kinds import ArrayShape
-from trajopt.pickling import picklable
+from trajopt.arguments import Array3, Array33, ArrayShape, NonNegative, Positive, checked
+from trajopt.errors import InputError, numbers_of, require_positive, shown
 from trajopt.terrain.surface import FARTHEST, MOST_CORNERS
 
 # Tolerance of a rotation matrix: rounding of decimal numbers.
@@ -24,7 +22,7 @@ ShapeKind = Literal["sphere", "capsule", "box", "hull"]
 KINDS: tuple[ShapeKind, ...] = ("sphere", "capsule", "box", "hull")
 
 
-@picklable
+@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LinkShape:
     """All points within ``radius`` m of the convex hull of ``points``, moving with a frame of the robot.
@@ -36,23 +34,16 @@ class LinkShape:
 
     name: str
     frame: str
-    points: np.ndarray
-    radius: float = 0.0
+    points: Annotated[np.ndarray, ArrayShape((None, 3))]
+    radius: NonNegative = 0.0
 
     def __post_init__(self) -> None:
-        label = f"shape '{self.name}'"
-        points = np.atleast_2d(numbers_of(self.points))
-        if points.ndim != 2 or points.shape[1] != 3 or not 1 <= len(points) <= MOST_CORNERS:
-            raise InputError(
-                f"points of {label} have shape {points.shape}", f"allowed: (n, 3), n from 1 to {MOST_CORNERS}"
-            )
-        require_not_negative(f"radius of {label}", self.radius, "m")
-        if len(points) <= 2:
+        label, count = f"shape '{self.name}'", len(self.points)
+        if not 1 <= count <= MOST_CORNERS:
+            raise InputError(f"points of {label} are {count}", f"allowed: 1 to {MOST_CORNERS}")
+        if count <= 2:
             require_positive(f"radius of {label}", self.radius, "m")
-        _require_near(label, points, self.radius)
-        points.setflags(write=False)
-        object.__setattr__(self, "points", points)
-        object.__setattr__(self, "radius", float(self.radius))
+        _require_near(label, self.points, self.radius)
 
     @property
     def extent(self) -> float:
@@ -62,18 +53,13 @@ class LinkShape:
     @classmethod
     def sphere(cls, name: str, frame: str, centre: Any, radius: float) -> LinkShape:
         """Return a ball around ``centre`` (3,) m."""
-        points = finite_array(f"centre of shape '{name}'", centre, unit="m")
-        return cls(name=name, frame=frame, points=points[None], radius=radius)
+        return cls(name=name, frame=frame, points=numbers_of([centre]), radius=radius)
 
     @classmethod
     def capsule(cls, name: str, frame: str, start: Any, end: Any, radius: float) -> LinkShape:
         """Return a capsule of ``radius`` m from ``start`` to ``end`` (3,) m; a sphere if they are equal."""
-        first, last = (
-            finite_array(f"{what} of shape '{name}'", value, unit="m")
-            for what, value in (("start", start), ("end", end))
-        )
-        points = [first] if np.array_equal(first, last) else [first, last]
-        return cls(name=name, frame=frame, points=np.array(points), radius=radius)
+        points = [start] if np.array_equal(start, end) else [start, end]
+        return cls(name=name, frame=frame, points=numbers_of(points), radius=radius)
 
     @classmethod
     def box(cls, name: str, frame: str, sides: Any, position: Any, rotation: Any = None) -> LinkShape:
@@ -150,7 +136,7 @@ class SphereObstacle:
     """A ball around ``centre`` (3,) m, world, of ``radius`` m. Raises InputError."""
 
     name: str
-    centre: Annotated[np.ndarray, ArrayShape((3,))]
+    centre: Array3
     radius: Positive
 
     def __post_init__(self) -> None:
@@ -177,8 +163,8 @@ class CapsuleObstacle:
     """All points within ``radius`` m of a segment, ``start`` to ``end`` (3,) m, world. Raises InputError."""
 
     name: str
-    start: Annotated[np.ndarray, ArrayShape((3,))]
-    end: Annotated[np.ndarray, ArrayShape((3,))]
+    start: Array3
+    end: Array3
     radius: Positive
 
     def __post_init__(self) -> None:
@@ -208,9 +194,9 @@ class BoxObstacle:
     """
 
     name: str
-    sides: Annotated[np.ndarray, ArrayShape((3,))]
-    position: Annotated[np.ndarray, ArrayShape((3,))]
-    rotation: Annotated[np.ndarray, ArrayShape((3, 3))] | None = None
+    sides: Array3
+    position: Array3
+    rotation: Array33 | None = None
 
     def __post_init__(self) -> None:
         label = f"obstacle '{self.name}'"

@@ -41,13 +41,13 @@ REMEDIES = {
 }
 BOUND_OF = {"rate": "velocity_limits", "position": "position_limits"}
 # A limit that is active at this fraction of its places determines the motion; number of such limits to name.
-SATURATED, MOST_SATURATED = 0.5, 3
+SATURATED_SHARE, MOST_SATURATED = 0.5, 3
 # Largest error of an interval, m, on a mesh that is fine enough: the check's tolerance on drift.
 COARSE = 1e-3
 # Condition number of active rows beyond which solvers lose half of their digits.
-ILL = 1e8
+ILL_CONDITION = 1e8
 # Costs that give curvature to each kind of variable.
-CURVING = {
+CURVATURE_COSTS = {
     "force": "WrenchCost",
     "moment": "WrenchCost",
     "impulse": "ImpulseCost",
@@ -98,7 +98,7 @@ def _of_rows(diagnosis: Diagnosis) -> Iterator[Advice]:
     for group in diagnosis.dependent:
         yield Advice(str(group), _untangled(group))
     for report in diagnosis.ranks:
-        if report.condition is not None and report.condition > ILL and report.full:
+        if report.condition is not None and report.condition > ILL_CONDITION and report.full:
             where = "all phases together" if report.phase is None else f"phase '{report.phase}'"
             yield Advice(
                 f"active rows of {where} are nearly dependent, condition {report.condition:.1e}",
@@ -134,7 +134,7 @@ def _of_conflict(diagnosis: Diagnosis) -> Iterator[Advice]:
     misses = (
         f"rows are violated by {clash.before:.2e} in sum, which a small step reduces to {clash.after:.2e}"
     )
-    if clash.mended:
+    if clash.is_early:
         yield Advice(
             misses,
             "the iterate is early and shows no conflict: more iterations or another start",
@@ -144,7 +144,7 @@ def _of_conflict(diagnosis: Diagnosis) -> Iterator[Advice]:
     kind = "goal out of reach" if goal else "rows contradict each other"
     against = (_remedy(one.block, one.what, f"ask less of {one.block}") for one in clash.against[:3])
     remedies = list(dict.fromkeys(against))
-    if not clash.stuck or diagnosis.status is None:  # at a guess, the linearisation is not reliable
+    if not clash.is_conflict or diagnosis.status is None:  # at a guess, the linearisation is not reliable
         kind = f"{misses}; left are"
         remedies = ["more iterations, or an easier goal first and its solution as the start", *remedies]
     finding = f"{kind}: {_parties(clash)}"
@@ -182,11 +182,11 @@ def _of_curvature(diagnosis: Diagnosis) -> Iterator[Advice]:
     if curved.negative and curved.known:
         yield Advice(
             f"the Lagrangian has negative curvature, {curved.smallest_along[0]}: this is no minimum",
-            "start from a perturbed guess (--perturb 0.1), or solve further from here",
+            "start from a perturbed guess (`perturb=0.1`), or solve further from here",
         )
     if curved.flat_along:
         flat = curved.flat_along[0]
-        costs = dict.fromkeys(CURVING.get(kind, "a cost on it") for kind in flat.kinds[:2])
+        costs = dict.fromkeys(CURVATURE_COSTS.get(kind, "a cost on it") for kind in flat.kinds[:2])
         yield Advice(
             f"no cost has curvature, {flat}",
             f"add a small {' or '.join(costs)}: what no cost depends on is not unique",
@@ -228,7 +228,7 @@ def _of_limits(diagnosis: Diagnosis) -> Iterator[Advice]:
     tried = diagnosis.status is not None and not diagnosis.solved  # limits of a guess are meaningless
     saturated = 0
     for limit in diagnosis.limits:
-        decides = limit.of > 1 and limit.places >= SATURATED * limit.of and not limit.weak
+        decides = limit.of > 1 and limit.places >= SATURATED_SHARE * limit.of and not limit.weak
         duration = limit.about.endswith("duration") or limit.block == "duration"
         if duration and not limit.weak:
             yield Advice(

@@ -22,14 +22,14 @@ from trajopt.solving.conflict import ConflictMember, members_against, members_gi
 # Largest change of variables, scaled units: the range in which the linearisation is trusted.
 BOX = 1.0
 # Weight of the step: it selects the nearest of several minima and makes the program well-posed.
-NEAREST = 1e-6
+STEP_WEIGHT = 1e-6
 # Violations below this fraction of the largest one are ignored.
-GIVES = 1e-3
+LEAST_SHARE = 1e-3
 # Weight of rows of the dynamics, which makes them give way last.
-LAST = 1e3
+DYNAMICS_WEIGHT = 1e3
 # Fraction of the violation left after the best small step: above the first, a conflict; below the second, an
 # early iterate.
-STUCK, MENDED = 0.5, 0.01
+CONFLICT_SHARE, EARLY_SHARE = 0.5, 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,14 +48,14 @@ class Conflict:
     edge: float
 
     @property
-    def stuck(self) -> bool:
+    def is_conflict(self) -> bool:
         """Whether no small step removes half of the violation: a conflict rather than an early iterate."""
-        return self.after > STUCK * self.before
+        return self.after > CONFLICT_SHARE * self.before
 
     @property
-    def mended(self) -> bool:
+    def is_early(self) -> bool:
         """Whether a small step removes nearly all of the violation: an early iterate."""
-        return self.after <= MENDED * self.before
+        return self.after <= EARLY_SHARE * self.before
 
 
 def conflict(snapshot: Snapshot) -> Conflict | None:
@@ -70,7 +70,7 @@ def conflict(snapshot: Snapshot) -> Conflict | None:
     x, weights = result
     step, give = x[:n], x[n : n + m] + x[n + m :]
     before = float(snapshot.violations[: t.n_rows].sum())
-    give[give < GIVES * max(give.max(initial=0.0), snapshot.tolerance)] = 0.0
+    give[give < LEAST_SHARE * max(give.max(initial=0.0), snapshot.tolerance)] = 0.0
     return Conflict(
         before=before,
         after=float(give.sum()),
@@ -92,8 +92,8 @@ def _elastic(
     lower_room, upper_room = (t.lower_x - snapshot.x)[free], (t.upper_x - snapshot.x)[free]
     low = np.concatenate([np.clip(lower_room, -BOX, 0.0), np.zeros(2 * m)])
     high = np.concatenate([np.clip(upper_room, 0.0, BOX), np.full(2 * m, np.inf)])
-    price = np.full(n + 2 * m, NEAREST)
-    elastic = np.where(rows_of_motion(t), LAST, 1.0)
+    price = np.full(n + 2 * m, STEP_WEIGHT)
+    elastic = np.where(rows_of_motion(t), DYNAMICS_WEIGHT, 1.0)
     solver = piqp.SparseSolver()
     solver.settings.verbose = False
     solver.settings.eps_abs, solver.settings.eps_rel, solver.settings.max_iter = 1e-7, 1e-8, 100

@@ -28,12 +28,12 @@ from trajopt.diagnosis.rank import DENSE, RANK_TOLERANCE, quiet_factor
 FLAT = 1e-8
 BETA = 1e-14
 # Number of Lanczos vectors, relative tolerance of eigenvalues, restarts; then number of eigenvalues sought.
-STEPS, CONVERGED, RESTARTS = 40, 1e-8, 30
-SOUGHT = 16
+VECTORS, ACCURACY, RESTARTS = 40, 1e-8, 30
+EIGENVALUES = 16
 # Singular values of the Ritz vectors below this fraction of the largest are rounding: vectors found twice.
-DISTINCT = 1e-5
+COPY_SHARE = 1e-5
 # An additional shift, between zero and the largest curvature, for eigenvalues that both other runs miss.
-BETWEEN = -1e-2
+MIDDLE_SHIFT = -1e-2
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -110,7 +110,7 @@ def _sparse(hessian: sparse.csc_matrix, active: sparse.csc_matrix) -> Curvature:
     if np.linalg.norm(start) < np.sqrt(np.finfo(float).eps) * np.sqrt(n):
         return _none(n, exact=False)
     vectors = [lanczos(lambda p: project(scaled @ p), start)]
-    for shift in (0.0, BETWEEN):
+    for shift in (0.0, MIDDLE_SHIFT):
         inverse = _operator(scaled - shift * sparse.eye(n, format="csc"), active)
         if inverse is not None:
             vectors.append(lanczos(inverse, start))
@@ -130,9 +130,15 @@ def lanczos(operator: Operator, start: np.ndarray) -> np.ndarray:
     """Return converged eigenvectors (n, k) of a symmetric operator at both ends of its spectrum."""
     n = len(start)
     symmetric = sparse_linalg.LinearOperator((n, n), matvec=operator, dtype=float)
-    settings = {"which": "BE", "v0": start, "ncv": min(STEPS, n), "tol": CONVERGED, "maxiter": RESTARTS}
+    settings = {
+        "which": "BE",
+        "v0": start,
+        "ncv": min(VECTORS, n),
+        "tol": ACCURACY,
+        "maxiter": RESTARTS,
+    }
     try:
-        return np.asarray(sparse_linalg.eigsh(symmetric, k=min(SOUGHT, n - 1), **settings)[1])
+        return np.asarray(sparse_linalg.eigsh(symmetric, k=min(EIGENVALUES, n - 1), **settings)[1])
     except sparse_linalg.ArpackNoConvergence as error:
         return np.asarray(error.eigenvectors).reshape(n, -1)
     except sparse_linalg.ArpackError:
@@ -158,4 +164,4 @@ def _orthonormal(vectors: np.ndarray, project: Operator) -> np.ndarray:
     """Return an orthonormal basis of the projected vectors, without those that are only rounding."""
     inside = np.column_stack([project(column) for column in vectors.T])
     basis, values, _ = np.linalg.svd(inside, full_matrices=False)
-    return basis[:, values > DISTINCT * values[0]]
+    return basis[:, values > COPY_SHARE * values[0]]

@@ -30,10 +30,10 @@ from trajopt.solving.warm_start import warm_start
 from trajopt.transcription.transcription import Transcription
 
 # Rows are violated beyond this multiple of the solve's tolerance.
-TRUSTED = 10.0
-WORST = 5
+TRUSTED_MULTIPLE = 10.0
+WORST_ROWS = 5
 # Largest difference of objective and violation between a file and the problem rebuilt from it.
-SAME = 1e-4
+AGREEMENT = 1e-4
 
 
 @checked
@@ -77,7 +77,7 @@ def _problem_of(solution: Solution, robot: str | None) -> Problem:
     if name not in known:
         raise InputError(
             f"the file's problem '{name}' is not in the catalogue",
-            "allowed: trajopt.diagnose(solution, problem=...) in Python, or --problem NAME",
+            "allowed: with `problem=...`",
         )
     family = known[name]
     parameters = {parameter.name: parameter for parameter in family.parameters}
@@ -127,7 +127,7 @@ def _diagnosed(snapshot: Snapshot, solution: Solution | None, source: str) -> Di
     count = len(t.layout.schedule.phases)
     phases = range(count) if count > 1 else ()
     judged = snapshot if near else snapshot.structure
-    worst = _worst(snapshot, TRUSTED * snapshot.tolerance)
+    worst = _worst(snapshot, TRUSTED_MULTIPLE * snapshot.tolerance)
     largest = float(snapshot.violations.max(initial=0.0)) if np.isfinite(snapshot.violations).all() else None
     statistics = None if solution is None else solution.statistics
     motion = extract(t, snapshot.x) if solution is None else solution
@@ -163,7 +163,7 @@ def _worst(snapshot: Snapshot, limit: float) -> list[Violation]:
     worst: dict[str, Violation] = {}
     for index in np.argsort(-amounts, kind="stable")[: np.count_nonzero(amounts > limit)].tolist():
         block = names.block(index)
-        if block not in worst and len(worst) < WORST:
+        if block not in worst and len(worst) < WORST_ROWS:
             worst[block] = Violation(
                 row=names.row_text(index),
                 block=block,
@@ -197,12 +197,12 @@ def _notes(snapshot: Snapshot, solution: Solution | None, largest: float | None)
         return
     unit = snapshot.transcription.objective_unit
     before, now = solution.statistics.objective, unit * float(snapshot.nlp.engine.f(snapshot.x))
-    if before is not None and math.isfinite(now) and abs(now - before) > SAME * max(1.0, abs(before)):
+    if before is not None and math.isfinite(now) and abs(now - before) > AGREEMENT * max(1.0, abs(before)):
         yield f"the rebuilt problem's objective is {now:.6g} here, the file says {before:.6g}: they differ"
-    told = solution.statistics.max_violation
-    if told is not None and largest is not None and abs(largest - told) > SAME * max(1.0, told):
-        yield f"the rebuilt problem's rows miss {largest:.2e} here, the file says {told:.2e}: they differ"
-    if solution.converged and snapshot.complementarity > SAME:
+    stated = solution.statistics.max_violation
+    if stated is not None and largest is not None and abs(largest - stated) > AGREEMENT * max(1.0, stated):
+        yield f"the rebuilt problem's rows miss {largest:.2e} here, the file says {stated:.2e}: they differ"
+    if solution.converged and snapshot.complementarity > AGREEMENT:
         yield (
             f"multipliers do not fit the slacks of the rebuilt problem's limits "
             f"({snapshot.complementarity:.1e}): the problem has changed since the file was made"

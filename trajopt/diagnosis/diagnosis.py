@@ -14,7 +14,7 @@ from trajopt.diagnosis.scaling import Scaling
 from trajopt.transcription.names import BOUNDS
 
 # Number of entries shown of long lists, which JSON has in full; width of titles in characters.
-SHOWN, LABEL = 8, 10
+SHOWN_ENTRIES, LABEL_WIDTH = 8, 10
 
 
 @dataclass(frozen=True)
@@ -128,16 +128,16 @@ def _lines(diagnosis: Diagnosis) -> Iterator[str]:
 
 
 def _line(title: str, text: str) -> str:
-    return f"  {title:{LABEL}} {text}"
+    return f"  {title:{LABEL_WIDTH}} {text}"
 
 
-def _listed(title: str, entries: Iterable[str], limit: int | None = SHOWN) -> Iterator[str]:
+def _listed(title: str, entries: Iterable[str], limit: int | None = SHOWN_ENTRIES) -> Iterator[str]:
     every = list(entries)
     shown = every if limit is None else every[:limit]
     for index, entry in enumerate(shown):
         yield _line("" if index else title, entry)
     if len(every) > len(shown):
-        yield _line("", f"and {len(every) - len(shown)} more (--json has all)")
+        yield _line("", f"and {len(every) - len(shown)} more (`to_dict()` has all)")
 
 
 def _amount(value: float | None) -> str:
@@ -148,11 +148,11 @@ def _rank_lines(diagnosis: Diagnosis) -> Iterator[str]:
     texts = []
     for report in diagnosis.ranks:
         texts.append(f"{'all' if report.phase is None else repr(report.phase)}: {report}")
-        told = {group.rows for one in diagnosis.ranks[1:] for group in one.dependent}
-        fresh = [g for g in report.dependent if report.phase is not None or g.rows not in told]
-        texts += [f"  {group}" for group in fresh[:SHOWN]]
-        if len(fresh) > SHOWN:
-            texts.append(f"  and {len(fresh) - SHOWN} more groups (--json has all)")
+        known = {group.rows for one in diagnosis.ranks[1:] for group in one.dependent}
+        fresh = [g for g in report.dependent if report.phase is not None or g.rows not in known]
+        texts += [f"  {group}" for group in fresh[:SHOWN_ENTRIES]]
+        if len(fresh) > SHOWN_ENTRIES:
+            texts.append(f"  and {len(fresh) - SHOWN_ENTRIES} more groups (`to_dict()` has all)")
     yield from _listed("rank", texts, limit=None)
 
 

@@ -260,18 +260,20 @@ def _causes(
     turning = np.array(["quaternion" in label.quantity for label in where.labels])
     for change in CHANGES:
         steps = units * np.where(turning, min(change, MOST_TURN), change)
-        alone = [j for j in range(len(inputs)) if _mended(functions, inputs, [j], steps)]
+        alone = [j for j in range(len(inputs)) if _is_finite_after(functions, inputs, [j], steps)]
         if alone:
             return _suspects(where.labels, inputs, np.array(alone)), ()
     members = {kind: np.flatnonzero(kinds == kind).tolist() for kind in dict.fromkeys(kinds.tolist())}
     return (), tuple(
         kind
         for kind, group in members.items()
-        if any(_mended(functions, inputs, group, units * change) for change in CHANGES)
+        if any(_is_finite_after(functions, inputs, group, units * change) for change in CHANGES)
     )
 
 
-def _mended(functions: Sequence[Evaluation], inputs: np.ndarray, which: list[int], steps: np.ndarray) -> bool:
+def _is_finite_after(
+    functions: Sequence[Evaluation], inputs: np.ndarray, which: list[int], steps: np.ndarray
+) -> bool:
     """Return whether changing only these inputs, in either direction, makes all functions finite."""
     for sign in (1.0, -1.0):
         trial = inputs.copy()

@@ -26,10 +26,10 @@ RANK_TOLERANCE = 1e-8
 DENSE = 400
 ALPHA, BETA = 1e-6, 1e-13
 # Initial and largest subspace dimension; it doubles until the subspace has a nonzero singular value.
-FIRST, MOST = 8, 256
-ITERATIONS, CONVERGED = 12, 1e-3
+FIRST_SIZE, LAST_SIZE = 8, 256
+ITERATIONS, ACCURACY = 12, 1e-3
 # Projector entries, relative to the rows' shares, above which two rows depend on each other.
-COUPLED = 1e-2
+COUPLING = 1e-2
 # Digits of shares that are compared, so that rounding does not decide the order of two rows.
 SHARE_DIGITS = 3
 
@@ -102,7 +102,10 @@ def _sparse(matrix: sparse.csr_matrix) -> Spectrum:
     scaled = csc / largest
     alpha, beta = sparse.eye(n) * ALPHA, sparse.eye(m) * BETA
     factor = sparse_linalg.splu(sparse.bmat([[alpha, scaled.T], [scaled, -beta]], format="csc"))
-    size, limit = min(m, max(FIRST, m - n + FIRST)), min(m, max(MOST, m - n + FIRST))
+    size, limit = (
+        min(m, max(FIRST_SIZE, m - n + FIRST_SIZE)),
+        min(m, max(LAST_SIZE, m - n + FIRST_SIZE)),
+    )
     basis = np.zeros((m, 0))
     while True:
         generator = np.random.default_rng(basis.shape[1])
@@ -128,7 +131,7 @@ def _iterated(
         _, singular, right = np.linalg.svd(matrix.T @ basis, full_matrices=False)
         basis, singular = basis @ right[::-1].T, singular[::-1]
         first = int(np.argmax(singular > RANK_TOLERANCE))
-        settled = abs(singular[first] - values[first]) <= CONVERGED * singular[first]
+        settled = abs(singular[first] - values[first]) <= ACCURACY * singular[first]
         values = singular
         if settled or singular[-1] <= RANK_TOLERANCE:
             break
@@ -144,11 +147,11 @@ def dependencies(vectors: np.ndarray) -> list[RowDependency]:
     if vectors.shape[1] == 0:
         return []
     share = np.einsum("ij,ij->i", vectors, vectors)
-    members = np.flatnonzero(share > COUPLED)
+    members = np.flatnonzero(share > COUPLING)
     inner = vectors[members] @ vectors[members].T
     scale = np.sqrt(np.outer(share[members], share[members]))
     count, which = sparse.csgraph.connected_components(
-        sparse.csr_matrix(np.abs(inner) > COUPLED * scale), directed=False
+        sparse.csr_matrix(np.abs(inner) > COUPLING * scale), directed=False
     )
     groups = []
     for group in range(count):

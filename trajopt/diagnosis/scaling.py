@@ -11,7 +11,7 @@ from trajopt.diagnosis.snapshot import Snapshot
 
 # Row or column norms that differ from one by this factor slow a solver down, because its tolerances then have
 # different meanings in different rows.
-FAR = 1e4
+FAR_NORM = 1e4
 # Relative magnitude below which entries are rounding; those of scaled functions are of order one.
 ROUNDING = 1e-13
 
@@ -81,17 +81,18 @@ class Scaling:
 
     @property
     def worst_blocks(self) -> tuple[BlockScale, ...]:
-        """Blocks with row norms or multipliers beyond `FAR`."""
+        """Blocks with row norms or multipliers beyond `FAR_NORM`."""
         return tuple(
             block
             for block in self.blocks
-            if block.row_norm.far > FAR or (block.multiplier is not None and block.multiplier.largest > FAR)
+            if block.row_norm.far > FAR_NORM
+            or (block.multiplier is not None and block.multiplier.largest > FAR_NORM)
         )
 
     @property
     def worst_kinds(self) -> tuple[KindScale, ...]:
-        """Kinds of variables with values or column norms beyond `FAR`."""
-        return tuple(k for k in self.kinds if k.column_norm.far > FAR or k.value.largest > FAR)
+        """Kinds of variables with values or column norms beyond `FAR_NORM`."""
+        return tuple(k for k in self.kinds if k.column_norm.far > FAR_NORM or k.value.largest > FAR_NORM)
 
 
 def scaling(snapshot: Snapshot) -> Scaling:

@@ -15,7 +15,7 @@ from trajopt.transcription.violations import row_violations
 
 # Distance from its bound, natural units, at which a limit is active: interior-point iterates at the solvers'
 # tolerance of 1e-6 come that close.
-REACHED = 1e-5
+LIMIT_DISTANCE = 1e-5
 # At a weakly active limit, slack and multiplier both approach the square root of the barrier parameter. A
 # limit is strictly active if its multiplier is this many times its slack.
 STRICT = 10.0
@@ -141,7 +141,7 @@ class Snapshot:
         A limit is active if it is reached, or if its multiplier exceeds its slack.
         """
         below, above = self.margins
-        at_lower, at_upper = below <= REACHED, above <= REACHED
+        at_lower, at_upper = below <= LIMIT_DISTANCE, above <= LIMIT_DISTANCE
         if self.multiplier is not None:  # a row at its upper bound has a positive multiplier
             at_lower |= (-self.multiplier > np.maximum(below, self.tolerance)) & np.isfinite(below)
             at_upper |= (self.multiplier > np.maximum(above, self.tolerance)) & np.isfinite(above)

@@ -123,10 +123,14 @@ def cycle_of(robot: Robot, speed: float, period: Positive | None = None) -> Cont
     robot = on_feet(robot)
     duration = period or stride_period(robot, speed)
     motion = partial(_moving, robot, speed)
+    # A cycle that a problem accepts; `discover` does not use it.
+    names = tuple(contact.name for contact in robot.contacts)
+    stand = Phase(name="stand", duration=duration / 2, contacts=names)
+    flight = Phase(name="flight", duration=duration / 2)
     problem = Problem(
         name=f"{robot.name}-cycle",
         robot=robot,
-        schedule=_lifting(robot, duration),
+        schedule=Schedule((stand, flight)),
         terms=(*_costs_and_limits(robot), TrackingCost(reference=motion, part="base", weight=TRACKING)),
         guess=motion,
         periodicity=Periodicity(velocity=(speed, 0.0, 0.0)),
@@ -140,13 +144,6 @@ def _moving(robot: Robot, speed: float, t: float) -> np.ndarray:
     q = robot.reference.copy()
     q[0] += speed * t
     return q
-
-
-def _lifting(robot: Robot, duration: float) -> Schedule:
-    """A placeholder cycle of standing and flight that a problem accepts; `discover` does not use it."""
-    names = tuple(contact.name for contact in robot.contacts)
-    phases = (("stand", names), ("flight", ()))
-    return Schedule(tuple(Phase(name=name, duration=duration / 2, contacts=feet) for name, feet in phases))
 
 
 def _costs_and_limits(robot: Robot) -> tuple[Term, ...]:

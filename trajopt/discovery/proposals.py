@@ -1,12 +1,13 @@
-"""Proposals: modes from relaxed contacts and from known gaits and hops, each with a motion to start from."""
+"""Candidates: modes from relaxed contacts and from known gaits and hops, each with a motion to start from."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
 
 from trajopt.discovery.modes import ModeSequence
+from trajopt.discovery.records import Candidate
 from trajopt.discovery.relaxation import relaxed_motion
 from trajopt.discovery.task import ContactTask
 from trajopt.errors import InputError
@@ -14,7 +15,7 @@ from trajopt.guesses.base_path import BaseWaypoint, flights
 from trajopt.guesses.gaits import Pace, plan_of_cycle
 from trajopt.guesses.legged import legged_guess
 from trajopt.schedule.gait_transitions import transition
-from trajopt.schedule.gaits import gait_names, gait_of
+from trajopt.schedule.gaits import Gait, gait_names, gait_of
 from trajopt.schedule.schedule import Motion, Phase, Schedule
 from trajopt.solution.solution import Solution
 from trajopt.terms.tracking import KeyFrames
@@ -30,49 +31,26 @@ STAND = 0.15
 MOST_CYCLES = 3
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Proposal:
-    """A mode sequence from a ``source``, and a motion that begins with the first of its modes.
-
-    Args:
-        objective, slack: of the relaxed motion.
-        screened: objective with hard contacts on a coarse mesh.
-        seconds, effort: of its solves; effort is iterations times variables.
-        why: reason for which it is rejected.
-    """
-
-    source: str
-    modes: ModeSequence | None = None
-    motion: Motion | None = None
-    objective: float | None = None
-    slack: float | None = None
-    screened: float | None = None
-    seconds: float = 0.0
-    effort: float = 0.0
-    why: str = ""
-
-
 def relaxed_name(seed: int, fine: bool = False) -> str:
     """Name of the source of a relaxed motion."""
     return f"relaxed:{seed}" + (":fine" if fine else "")
 
 
-def relaxed_proposal(task: ContactTask, seed: int, max_time: float, fine: bool = False) -> Proposal:
+def relaxed_proposal(task: ContactTask, seed: int, max_time: float, fine: bool = False) -> Candidate:
     """Propose the modes of a relaxed motion, with at most ``max_time`` s of solver time."""
     relaxed = relaxed_motion(task, seed=seed, max_time=max_time, fine=fine)
     solution, modes, slack = relaxed.solution, relaxed.modes, relaxed.slack
-    bare = Proposal(
+    candidate = Candidate(
         source=relaxed_name(seed, fine), slack=slack, seconds=relaxed.seconds, effort=relaxed.effort
     )
     if solution is None or modes is None or slack is None:
-        return replace(bare, why="no relaxed motion was found")
-    bare = replace(bare, objective=solution.statistics.objective)
+        return replace(candidate, why="no relaxed motion was found")
+    candidate = replace(candidate, relaxed_objective=solution.statistics.objective)
     if slack > MOST_SLACK:
         why = f"contacts could not be tightened below a slack of {slack:g} (asked {MOST_SLACK:g})"
-        return replace(bare, why=why)
-    return replace(
-        bare, modes=modes, motion=key_frames(task, solution, modes.shift if task.periodic else 0.0)
-    )
+        return replace(candidate, why=why)
+    shift = modes.shift if task.periodic else 0.0
+    return replace(candidate, modes=modes, motion=key_frames(task, solution, shift))
 
 
 def key_frames(task: ContactTask, solution: Solution, shift: float = 0.0) -> KeyFrames:
@@ -100,18 +78,18 @@ def _turned(
     return begins[kept], np.array([task.moved(each, back) for each in twice[kept]])
 
 
-def known_proposals(task: ContactTask) -> Iterator[Proposal]:
+def known_proposals(task: ContactTask) -> Iterator[Candidate]:
     """Yield known gaits for a cycle, else hops and steps from standing to standing, if the robot has any."""
     for source, phases in _known(task):
         modes = ModeSequence(tuple((phase.contacts, phase.duration) for phase in phases))
         try:
             motion = _known_motion(task, Schedule(phases))
         except InputError as error:
-            yield Proposal(source=source, why=f"{error}")
+            yield Candidate(source=source, why=f"{error}")
             continue
         times = np.linspace(0.0, modes.duration, SAMPLES)
         frames = KeyFrames(task.robot, times, np.array([motion(float(t)) for t in times]))
-        yield Proposal(source=source, modes=modes, motion=frames)
+        yield Candidate(source=source, modes=modes, motion=frames)
 
 
 def _known(task: ContactTask) -> Iterator[tuple[str, tuple[Phase, ...]]]:
@@ -163,3 +141,40 @@ def _known_motion(task: ContactTask, schedule: Schedule) -> Motion:
         for time, part in zip(times, parts, strict=True)
     ]
     return legged_guess(robot, schedule, path, start=first, terrain=task.problem.terrain)
+
+
+def nearest_gait(task: ContactTask, modes: ModeSequence) -> tuple[str, float] | None:
+    """The known gait nearest in touchdowns and duty factors, and its distance in periods, or None."""
+    try:
+        names = gait_names(task.robot)
+    except InputError:
+        return None
+    gait = _as_gait(modes)
+    if gait is None or not task.periodic:
+        return None
+    away = {name: _apart(gait, gait_of(task.robot, name)) for name in names}
+    best = min(away, key=lambda name: away[name])
+    return best, away[best]
+
+
+def _as_gait(modes: ModeSequence) -> Gait | None:
+    """Read duty factors and touchdowns from a cycle in which every foot steps once; None for other cycles."""
+    duty, offsets = modes.duty(), {}
+    begins = np.cumsum([0.0, *(duration for _, duration in modes.modes)]) / modes.duration
+    for foot in sorted(duty):
+        on = [foot in contacts for contacts in modes.key]
+        lands = [i for i in range(len(on)) if on[i] and not on[i - 1]]
+        if len(lands) != 1:
+            return None
+        offsets[foot] = float(begins[lands[0]])
+    return Gait(name="read", duty=duty, offsets=offsets) if duty else None
+
+
+def _apart(one: Gait, other: Gait) -> float:
+    """Mean difference of touchdowns at the best time shift, plus half that of duty factors, in periods."""
+    feet = [foot for foot in other.feet if foot in one.feet]
+    if len(feet) < len(other.feet):
+        return 1.0
+    lags = np.array([one.offsets[foot] - other.offsets[foot] for foot in feet])
+    apart = min(np.abs((lags - lag + 0.5) % 1.0 - 0.5).mean() for lag in lags)
+    return float(apart + np.mean([abs(one.duty_of(foot) - other.duty_of(foot)) for foot in feet]) / 2)

@@ -12,30 +12,40 @@ from typing import Any
 from trajopt.discovery.modes import ModeSequence
 from trajopt.discovery.task import ContactTask
 from trajopt.errors import InputError, expanded
+from trajopt.schedule.schedule import Motion
 from trajopt.solution.solution import Solution
-from trajopt.study.workers.records import JsonLines
+from trajopt.study.records import JsonLines
 
 RECORD = "discovery.jsonl"
 # Screened: solved only on a coarse mesh. Untried: not solved at all.
-CERTIFIED, REJECTED, SCREENED, UNTRIED = "certified", "rejected", "screened", "untried"
+PROPOSED, CERTIFIED, REJECTED = "proposed", "certified", "rejected"
+SCREENED, UNTRIED = "screened", "untried"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Candidate:
-    """A schedule that was tried: its source, its modes and its result.
+    """A schedule from its proposal to its result.
 
     Args:
-        relaxed_objective, slack: of the motion from which the modes were read.
-        screened, objective: with hard contacts, on a coarse mesh and of the certified motion.
+        source: what proposed it.
+        modes: its contacts and durations; None if the proposal failed.
+        motion: from which a solve begins; it starts with the first of the modes.
+        status: `PROPOSED` until it has a result.
+        relaxed_objective: of the motion with relaxed contacts from which the modes were read.
+        slack: of that motion.
+        screened: objective with hard contacts on a coarse mesh.
         vanished: number of phases that shrank to nothing and were removed.
+        objective: of the certified motion.
         why: reason for which it was rejected or not tried.
-        seconds, effort: of its solves; effort is iterations times variables.
+        seconds: of its solves.
+        effort: of its solves: iterations times variables.
         solution: of a certified candidate.
     """
 
     source: str
-    modes: ModeSequence | None
-    status: str
+    modes: ModeSequence | None = None
+    motion: Motion | None = field(default=None, repr=False)
+    status: str = PROPOSED
     relaxed_objective: float | None = None
     slack: float | None = None
     screened: float | None = None
@@ -47,19 +57,18 @@ class Candidate:
     solution: Solution | None = field(default=None, repr=False)
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-able fields, without the solution."""
-        modes = self.modes
-        told = {name: value for name, value in vars(self).items() if name not in ("solution", "modes")}
-        return told | {
+        """JSON-able fields, without the motion and the solution."""
+        modes, objects = self.modes, ("modes", "motion", "solution")
+        return {name: value for name, value in vars(self).items() if name not in objects} | {
             "modes": modes and [[list(contacts), duration] for contacts, duration in modes.modes],
             "dropped": modes and modes.dropped,
             "unlifted": modes and modes.unlifted,
         }
 
     @classmethod
-    def from_dict(cls, told: Mapping[str, Any], solution: Solution | None) -> Candidate:
+    def from_dict(cls, entry: Mapping[str, Any], solution: Solution | None) -> Candidate:
         """The inverse of `to_dict`. Raises KeyError, TypeError or ValueError for anything else."""
-        fields = dict(told)
+        fields = dict(entry)
         modes = fields.pop("modes")
         counts = {name: fields.pop(name) or 0 for name in ("dropped", "unlifted")}
         read = modes and ModeSequence(tuple((tuple(names), float(time)) for names, time in modes), **counts)
@@ -98,44 +107,32 @@ class Discovery:
         }
 
 
-class Records:
+class DiscoveryRecords:
     """Collects candidates; a folder gets the task, a line per candidate, and the certified motions."""
 
     def __init__(self, task: ContactTask, folder: Path | str | None, *, resume: bool) -> None:
-        self.task, self.candidates = task, list[Candidate]()
+        self.candidates: list[Candidate] = []
         self.folder = None if folder is None else expanded(folder)
         path = None if self.folder is None else self.folder / RECORD
-        if path is not None and path.exists() and path.stat().st_size and not resume:
-            raise InputError(f"{self.folder} has candidates", "allowed: --resume, or another folder")
+        if path is not None and not resume and path.exists() and path.stat().st_size:
+            raise InputError(f"{self.folder} has candidates", "allowed: `resume`, or another folder")
         self._lines = JsonLines(path)
-        kept = self._lines.open(resume=resume)
-        if path is not None and path.read_text().strip() and (not kept or "task" not in kept[0]):
-            raise InputError(f"{path} is no record of a discovery", "allowed: without --resume")
-        if not kept:
-            self._lines.append({"task": task.describe()})
-        elif kept[0]["task"] != task.describe():
-            raise InputError(
-                f"{self.folder} has candidates of another task, or of other values",
-                "allowed: without --resume",
-            )
-        for each in kept[1:]:
+        head, words = {"task": task.describe()}, {"task": "another task, or other values"}
+        for entry in self._lines.begin("discovery", head, words, resume=resume):
             with suppress(KeyError, TypeError, ValueError, InputError):  # incomplete entries are tried again
-                candidate = self._read(each)
+                held = entry["status"] == CERTIFIED
+                solution = Solution.load(self._file(entry["source"])) if held else None
+                candidate = Candidate.from_dict(entry, solution)
                 if candidate.status != UNTRIED:
                     self.candidates.append(candidate)
-
-    def _read(self, told: Mapping[str, Any]) -> Candidate:
-        solution = Solution.load(self._file(told["source"])) if told["status"] == CERTIFIED else None
-        return Candidate.from_dict(told, solution)
 
     def _file(self, source: str) -> Path:
         assert self.folder is not None
         return self.folder / f"{re.sub(r'[^A-Za-z0-9]+', '-', source)}.npz"
 
-    def add(self, candidate: Candidate) -> Candidate:
+    def add(self, candidate: Candidate) -> None:
         """Store a candidate; its solution file is complete before its line is written."""
         self.candidates.append(candidate)
         if self.folder is not None and candidate.solution is not None:
             candidate.solution.save(self._file(candidate.source))
         self._lines.append(candidate.to_dict())
-        return candidate

@@ -20,9 +20,8 @@ import numpy as np
 from typing_extensions import override
 
 from trajopt.arguments import NonNegative, Positive
-from trajopt.discovery.ground import gap, smooth_gap
 from trajopt.discovery.modes import LOADED, ModeSequence, read_modes
-from trajopt.discovery.task import ContactTask
+from trajopt.discovery.task import ContactTask, gap, smooth_gap
 from trajopt.problem.problem import Problem
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.units import Units

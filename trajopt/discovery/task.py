@@ -1,14 +1,15 @@
 """Discovery tasks: what a problem is without its phases, and its problems for discovered schedules."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
-from trajopt.discovery.ground import gap
 from trajopt.discovery.modes import LIFTED, ModeSequence
 from trajopt.errors import InputError
-from trajopt.problem.periodicity import PAIRED
+from trajopt.problem.periodicity import PAIR_DISTANCE
 from trajopt.problem.problem import Problem
 from trajopt.robot.kinematics import contact_positions, frame_pose
 from trajopt.robot.mirror import find_mirror, paired_contacts
@@ -20,11 +21,17 @@ from trajopt.terms.swing import SwingArc, SwingClearance, SwingOver
 from trajopt.terms.swing_planning import swing_arcs, swing_clearance
 from trajopt.terms.terminal import TerminalState
 from trajopt.terms.tracking import KeyFrames
+from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.patch import Patch
 from trajopt.terrain.piecewise import PiecewiseTerrain
+from trajopt.terrain.smooth import SmoothTerrain
+from trajopt.terrain.surface import Surface
+from trajopt.terrain.terrain import Terrain
 
 # Swing height in robot lengths, if the problem's terms give none.
 CLEARANCE = 0.05
+# In robot lengths: half the width of the flank that replaces an edge, and depth of a hole.
+FLANK, HOLE = 0.03, 0.5
 # Bounds of the phase durations of a discovered schedule, in multiples of the discovered durations.
 FREE = (0.3, 2.5)
 
@@ -218,7 +225,7 @@ def _whole_cycle(problem: Problem, terms: tuple[Term, ...]) -> Problem:
     periodicity, robot = problem.periodicity, problem.robot
     if periodicity is None or not periodicity.mirror:
         return problem
-    pairs = paired_contacts(robot, find_mirror(robot), PAIRED)
+    pairs = paired_contacts(robot, find_mirror(robot), PAIR_DISTANCE)
     images = {contact.name: robot.contacts[pairs[i]].name for i, contact in enumerate(robot.contacts)}
     half = [
         Phase(name=phase.name, duration=phase.duration, contacts=phase.contacts)
@@ -245,3 +252,43 @@ def _whole_cycle(problem: Problem, terms: tuple[Term, ...]) -> Problem:
         duration_bounds=twice(problem.duration_bounds),
         default_intervals=2 * problem.default_intervals,
     )
+
+
+def gap(terrain: Terrain, point: np.ndarray, radius: float) -> float:
+    """Height, m, of a contact's origin (3,) m above the one at which it touches; infinite over a hole."""
+    if isinstance(terrain, FlatGround):
+        return float(point[2]) - _plane(terrain.surface, point[0], point[1], radius)
+    return float(point[2] - terrain.offset(radius).height(point[0], point[1]))
+
+
+def smooth_gap(
+    terrain: Terrain, point: ca.SX, radius: float, length: float, parameter: Callable[[Any], ca.SX]
+) -> ca.SX:
+    """`gap` of a symbolic point (3,), with flanks in place of edges; ``length``: the robot's length, m."""
+    if isinstance(terrain, SmoothTerrain):
+        return terrain.offset(radius).symbolic(point, parameter)[0]
+    if isinstance(terrain, FlatGround):
+        return point[2] - _plane(terrain.surface, point[0], point[1], radius)
+    faces = sorted(terrain.faces, key=lambda face: float(face.vertices[:, 2].max()))
+    height = ca.SX(float(faces[0].vertices[:, 2].min()) - HOLE * length)
+    for face in faces:
+        inside = _inside(face, point, FLANK * length)
+        height += (_plane(face.surface, point[0], point[1], radius) - height) * inside
+    return point[2] - height
+
+
+def _plane(surface: Surface, x: Any, y: Any, radius: float) -> Any:
+    """Height at x, y of a surface's plane, offset by ``radius`` along its normal."""
+    n = surface.normal
+    return (surface.height + radius - n[0] * x - n[1] * y) / n[2]
+
+
+def _inside(face: Patch, point: ca.SX, width: float) -> ca.SX:
+    """Smooth indicator of a face seen from above: 1 inside, 0 outside."""
+    product = ca.SX(1)
+    for inward, offset in zip(face.inward, face.offsets, strict=True):
+        across = float(np.linalg.norm(inward[:2]))
+        along = inward[0] * point[0] + inward[1] * point[1] + inward[2] * face.vertices[0, 2]
+        away = (along - offset) / across
+        product *= 1 / (1 + ca.exp(-away / width * 2))
+    return product

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from trajopt.discovery.modes import ModeSequence
-from trajopt.discovery.proposals import Proposal, key_frames
+from trajopt.discovery.proposals import key_frames
 from trajopt.discovery.records import CERTIFIED, REJECTED, Candidate
 from trajopt.discovery.task import FREE, ContactTask
 from trajopt.errors import InputError
@@ -26,12 +26,12 @@ ROUNDS, PATIENCE = 3, 100
 AT_BOUND = 1.02
 
 
-def screened(task: ContactTask, proposal: Proposal, max_time: float) -> Proposal:
-    """The proposal with its objective on a coarse mesh; without one if that solve does not converge."""
-    assert proposal.modes is not None
-    assert proposal.motion is not None
+def screened(task: ContactTask, candidate: Candidate, max_time: float) -> Candidate:
+    """The candidate with its objective on a coarse mesh; without one if that solve does not converge."""
+    assert candidate.modes is not None
+    assert candidate.motion is not None
     try:
-        problem = task.with_modes(proposal.modes, proposal.motion)
+        problem = task.with_modes(candidate.modes, candidate.motion)
         counts = problem.schedule.intervals(problem.default_intervals)
         mesh = Mesh.uniform(COARSE, [max(round(PART * count), 1) for count in counts])
         solution = solve_on_mesh(
@@ -43,40 +43,33 @@ def screened(task: ContactTask, proposal: Proposal, max_time: float) -> Proposal
             judge=False,
         )
     except InputError as error:
-        return replace(proposal, why=f"{error}")
+        return replace(candidate, why=f"{error}")
     objective = solution.statistics.objective if solution.converged else None
-    return replace(
-        proposal,
-        screened=objective,
-        seconds=proposal.seconds + spent(solution)[0],
-        effort=proposal.effort + spent(solution)[1],
-    )
+    return replace(_charged(candidate, solution), screened=objective)
 
 
-def certified(task: ContactTask, proposal: Proposal, max_time: float, rounds: int = MOST_ROUNDS) -> Candidate:
-    """Solve a proposal with hard contacts until its motion has the grade, without vanished phases."""
-    assert proposal.modes is not None
-    assert proposal.motion is not None
-    rejected = untried(proposal, "", REJECTED)
+def certified(
+    task: ContactTask, candidate: Candidate, max_time: float, rounds: int = MOST_ROUNDS
+) -> Candidate:
+    """Solve a candidate with hard contacts until its motion has the grade, without vanished phases."""
+    assert candidate.modes is not None
+    assert candidate.motion is not None
+    rejected = replace(candidate, status=REJECTED, why="")
     limits: dict[str, Any] = {"max_time": max_time, "max_rounds": rounds}
     if rounds == ROUNDS:
         limits["max_iterations"] = PATIENCE
-    solution = _solved(task, proposal.modes, proposal.motion, limits)
+    solution = _solved(task, candidate.modes, candidate.motion, limits)
     if solution is None:
         return replace(rejected, why="the problem cannot have this schedule")
-    tried = [solution]
-    best, modes, vanished = solution, proposal.modes, 0
-    fewer = without_vanished(proposal.modes, solution, task.periodic)
+    rejected = _charged(rejected, solution)
+    best, modes, vanished = solution, candidate.modes, 0
+    fewer = without_vanished(candidate.modes, solution, task.periodic)
     if solution.success and fewer is not None and not (task.periodic and fewer.shift):
         again = _solved(task, fewer, key_frames(task, solution), limits)
         if again is not None:
-            tried.append(again)
+            rejected = _charged(rejected, again)
             if again.success and _objective(again) <= _objective(solution) * (1 + 1e-3):
-                best, modes, vanished = again, fewer, len(proposal.modes.modes) - len(fewer.modes)
-    used = np.sum([spent(each) for each in tried], axis=0)
-    rejected = replace(
-        rejected, seconds=rejected.seconds + float(used[0]), effort=rejected.effort + float(used[1])
-    )
+                best, modes, vanished = again, fewer, len(candidate.modes.modes) - len(fewer.modes)
     figures = best.statistics
     if not best.success:
         missed = f": {', '.join(figures.failures)}" if figures.failures else ""
@@ -91,19 +84,10 @@ def certified(task: ContactTask, proposal: Proposal, max_time: float, rounds: in
     )
 
 
-def untried(proposal: Proposal, why: str, status: str) -> Candidate:
-    """The candidate of a proposal that is not certified, with the reason."""
-    return Candidate(
-        source=proposal.source,
-        modes=proposal.modes,
-        status=status,
-        relaxed_objective=proposal.objective,
-        slack=proposal.slack,
-        screened=proposal.screened,
-        why=why,
-        seconds=proposal.seconds,
-        effort=proposal.effort,
-    )
+def _charged(candidate: Candidate, solution: Solution) -> Candidate:
+    """The candidate with the time and the effort of another solve."""
+    seconds, effort = spent(solution)
+    return replace(candidate, seconds=candidate.seconds + seconds, effort=candidate.effort + effort)
 
 
 def spent(solution: Solution) -> tuple[float, float]:

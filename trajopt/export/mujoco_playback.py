@@ -9,8 +9,7 @@ import numpy as np
 
 from trajopt.control.reference import ReferenceTrajectory
 from trajopt.export.archives import contact_arrays, names_array, write_archive
-from trajopt.export.exported_motion import ExportedMotion
-from trajopt.export.single_joints import single_joints
+from trajopt.export.exported_motion import ExportedMotion, single_joints
 from trajopt.robot.mujoco_package import mujoco_package, muted_mujoco
 from trajopt.simulation.joint_feedback import gains_of
 from trajopt.simulation.mjcf import mjcf_of_scene

@@ -1,5 +1,7 @@
 """ROS 2 bags (rosbag2, sqlite3), written by the package ``rosbags`` without ROS."""
 
+from __future__ import annotations
+
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -7,20 +9,216 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
+from scipy.spatial.transform import Rotation
 
 from trajopt.export.exported_motion import ExportedMotion
 from trajopt.export.formats import package_of_format
-from trajopt.export.links import frame_motion
-from trajopt.export.ros_messages import EXTRA, NANOSECONDS, RosMessages, full_type
-from trajopt.export.transforms import WORLD_FRAME, FrameTree, frame_tree
+from trajopt.export.links import frame_motion, link_frames, without_jumps
 from trajopt.solution.local_states import rotation_matrices
 
+# Parent of the frames that have no parent link.
+WORLD_FRAME = "world"
+EXTRA = "ros"
+# Nanoseconds per second; stamps are in nanoseconds.
+NANOSECONDS = 1_000_000_000
+# Entries of a covariance matrix; zeros mean that it is not known.
+COVARIANCE = 36
 # Version of the bag layout; ROS 2 reads it since it uses this version itself, and so does rosbags.
 VERSION = 8
 # First stamp, ns: tf takes a stamp of zero as "the latest", not as a time.
 START = NANOSECONDS
 # An infinite duration as rosbag2 writes it, s and ns.
 ENDLESS = (9223372036, 854775807)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FrameTree:
+    """F frames at n times, each relative to its parent; SI units.
+
+    names, parents: (F,); ``world`` is not a frame itself. fixed: (F,) whether it is fixed to its parent.
+    position: (n, F, 3). quaternion: (n, F, 4) xyzw.
+    """
+
+    names: tuple[str, ...]
+    parents: tuple[str, ...]
+    fixed: tuple[bool, ...]
+    position: np.ndarray
+    quaternion: np.ndarray
+
+
+def frame_tree(motion: ExportedMotion) -> FrameTree:
+    """The tree of all links, and of the contact frames that are not links."""
+    model, links = motion.model, motion.links
+    contacts = {
+        name: model.getFrameId(name) for name in motion.plan.contact_frames if name not in links.names
+    }
+    touching = frame_motion(model, contacts, motion.q, motion.v)
+    position = np.concatenate([links.position, touching.position], axis=1)
+    turn = np.concatenate([links.quaternion, touching.quaternion], axis=1)[..., [1, 2, 3, 0]]
+    frames, names = link_frames(model) | contacts, (*links.names, *contacts)
+    joints = [
+        model.frames[frames[name]].parentJoint if name in frames else model.getJointId(name) for name in names
+    ]
+    parents = _parents(model, frames, links.names, names, joints)
+    moved, turned = _seen_from_parents(parents, position, turn)
+    return FrameTree(
+        names=names,
+        parents=tuple(WORLD_FRAME if parent is None else names[parent] for parent in parents),
+        fixed=tuple(
+            joint == (0 if parent is None else joints[parent])
+            for joint, parent in zip(joints, parents, strict=True)
+        ),
+        position=moved,
+        quaternion=turned,
+    )
+
+
+def _parents(
+    model: pin.Model,
+    frames: dict[str, int],
+    links: tuple[str, ...],
+    names: tuple[str, ...],
+    joints: list[int],
+) -> list[int | None]:
+    """Index of the parent link of each frame; None for the world.
+
+    It is that of the robot's description. If the model does not have it, as behind a locked joint, it is the
+    first link of the same joint, or of the joint before.
+    """
+    first = {joint: i for i, joint in reversed(list(enumerate(joints))) if i < len(links)}
+    parents: list[int | None] = []
+    for frame, (name, joint) in enumerate(zip(names, joints, strict=True)):
+        above = _link_above(model, frames[name], links) if name in frames else None
+        before = joint if first.get(joint, frame) != frame else model.parents[joint]
+        if above is None and first.get(before, frame) != frame:
+            above = first[before]
+        parents.append(above)
+    return parents
+
+
+def _link_above(model: pin.Model, frame: int, links: tuple[str, ...]) -> int | None:
+    """Index of the nearest link between a frame and the world; None if there is none."""
+    passed: set[int] = set()
+    while frame and frame not in passed:  # a locked joint may be its own parent
+        passed.add(frame)
+        frame = model.frames[frame].parentFrame
+        above = model.frames[frame]
+        if above.type == pin.BODY and above.name in links and frame not in passed:
+            return links.index(above.name)
+    return None
+
+
+def _seen_from_parents(
+    parents: list[int | None], position: np.ndarray, turn: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (n, F, 3), and quaternions (n, F, 4) xyzw with continuous signs, relative to the parents."""
+    moved, turned = position.copy(), turn.copy()
+    for frame, parent in enumerate(parents):
+        if parent is not None:
+            back = Rotation.from_quat(turn[:, parent]).inv()
+            moved[:, frame] = back.apply(position[:, frame] - position[:, parent])
+            turned[:, frame] = (back * Rotation.from_quat(turn[:, frame])).as_quat()
+    return moved, without_jumps(turned[..., [3, 0, 1, 2]])[..., [1, 2, 3, 0]]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RosMessages:
+    """Creates messages from a store of types that ``rosbags`` brings along."""
+
+    store: Any
+
+    @classmethod
+    def load(cls) -> RosMessages:
+        """Load the types of ROS 2; raises `InputError` if rosbags is not installed."""
+        typesys = package_of_format("rosbags.typesys", EXTRA)
+        return cls(store=typesys.get_typestore(typesys.Stores.ROS2_HUMBLE))
+
+    def make(self, kind: str, **fields: Any) -> Any:
+        """Create a message of a type such as "geometry_msgs/Vector3"."""
+        whole = {  # the serialiser reads arrays as blocks of memory
+            name: np.ascontiguousarray(value) if isinstance(value, np.ndarray) else value
+            for name, value in fields.items()
+        }
+        return self.store.types[full_type(kind)](**whole)
+
+    def bytes_of(self, kind: str, message: Any) -> Any:
+        """Serialise a message for a bag."""
+        return self.store.serialize_cdr(message, full_type(kind))
+
+    def header(self, stamp: int, frame: str = "") -> Any:
+        """A header with a stamp in ns."""
+        seconds, rest = divmod(stamp, NANOSECONDS)
+        time = self.make("builtin_interfaces/Time", sec=seconds, nanosec=rest)
+        return self.make("std_msgs/Header", stamp=time, frame_id=frame)
+
+    def duration(self, length: int) -> Any:
+        """A duration of ``length`` ns."""
+        seconds, rest = divmod(length, NANOSECONDS)
+        return self.make("builtin_interfaces/Duration", sec=seconds, nanosec=rest)
+
+    def xyz(self, kind: str, values: np.ndarray) -> Any:
+        """A "geometry_msgs" vector or point of three numbers."""
+        x, y, z = values.tolist()
+        return self.make(f"geometry_msgs/{kind}", x=x, y=y, z=z)
+
+    def rotation(self, quaternion: np.ndarray) -> Any:
+        """A quaternion message from x, y, z, w."""
+        x, y, z, w = quaternion.tolist()
+        return self.make("geometry_msgs/Quaternion", x=x, y=y, z=z, w=w)
+
+    def transform(
+        self, stamp: int, frames: tuple[str, str], position: np.ndarray, quaternion: np.ndarray
+    ) -> Any:
+        """Pose of the second frame in the first."""
+        placed = self.make(
+            "geometry_msgs/Transform",
+            translation=self.xyz("Vector3", position),
+            rotation=self.rotation(quaternion),
+        )
+        parent, child = frames
+        return self.make(
+            "geometry_msgs/TransformStamped",
+            header=self.header(stamp, parent),
+            child_frame_id=child,
+            transform=placed,
+        )
+
+    def wrench(self, stamp: int, frame: str, wrench: np.ndarray) -> Any:
+        """Force and moment (6,) at a frame's origin, along its axes."""
+        parts = self.make(
+            "geometry_msgs/Wrench",
+            force=self.xyz("Vector3", wrench[:3]),
+            torque=self.xyz("Vector3", wrench[3:]),
+        )
+        return self.make("geometry_msgs/WrenchStamped", header=self.header(stamp, frame), wrench=parts)
+
+    def odometry(
+        self, stamp: int, frames: tuple[str, str], pose: tuple[np.ndarray, np.ndarray], twist: np.ndarray
+    ) -> Any:
+        """Pose of the second frame in the first, and its twist (6,) along its own axes."""
+        unknown = np.zeros(COVARIANCE)
+        placed = self.make(
+            "geometry_msgs/Pose", position=self.xyz("Point", pose[0]), orientation=self.rotation(pose[1])
+        )
+        moved = self.make(
+            "geometry_msgs/Twist",
+            linear=self.xyz("Vector3", twist[:3]),
+            angular=self.xyz("Vector3", twist[3:]),
+        )
+        return self.make(
+            "nav_msgs/Odometry",
+            header=self.header(stamp, frames[0]),
+            child_frame_id=frames[1],
+            pose=self.make("geometry_msgs/PoseWithCovariance", pose=placed, covariance=unknown),
+            twist=self.make("geometry_msgs/TwistWithCovariance", twist=moved, covariance=unknown),
+        )
+
+
+def full_type(kind: str) -> str:
+    """Full name of a type, as in a bag: "std_msgs/String" becomes "std_msgs/msg/String"."""
+    library, _, name = kind.partition("/")
+    return f"{library}/msg/{name}"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

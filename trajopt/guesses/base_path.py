@@ -3,19 +3,20 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pinocchio as pin
 
 from trajopt.arguments import checked
 from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
-from trajopt.errors import InputError, finite_array, require_finite
-from trajopt.pickling import picklable
+from trajopt.errors import InputError
+from trajopt.kinds import ArrayShape
+from trajopt.problem.contact_motion import SAME_TIME
 from trajopt.schedule.schedule import Schedule
 
-# Times of waypoints and phases that differ by less than this fraction of the schedule are equal.
-SAME_TIME = 1e-9
+# An array (3,).
+Vector = Annotated[np.ndarray, ArrayShape((3,))]
 # Largest turn between two waypoints while feet stand, rad: at a full turn the rate of the rotation vector is
 # unbounded.
 MOST_SUPPORTED_TURN = 2 * math.pi - 0.1
@@ -47,7 +48,7 @@ def _cubic(s: float, duration: float, start: Any, start_rate: Any, end: Any, end
     )
 
 
-@picklable
+@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BaseWaypoint:
     """A pose through which the base passes.
@@ -70,17 +71,13 @@ class BaseWaypoint:
     """
 
     time: float
-    position: np.ndarray
-    turn: np.ndarray | tuple[float, float, float] = (0.0, 0.0, 0.0)
-    velocity: np.ndarray | None = None
-    rate: np.ndarray | None = None
+    position: Vector
+    turn: Vector | tuple[float, float, float] = (0.0, 0.0, 0.0)
+    velocity: Vector | None = None
+    rate: Vector | None = None
 
     def __post_init__(self) -> None:
-        require_finite("time of a waypoint of the base", self.time, "s")
-        for name in ("position", "turn", "velocity", "rate"):
-            value, what = getattr(self, name), f"{name} of the base's waypoint at {self.time:g} s"
-            if value is not None:
-                object.__setattr__(self, name, finite_array(what, value))
+        object.__setattr__(self, "turn", np.array(self.turn, dtype=float))
 
 
 class WaypointPath:

@@ -1,124 +1,56 @@
 """Guesses from reduced models: their base or CoM motion, feet on footholds or swings, inverse kinematics."""
 
-from __future__ import annotations
-
-import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import accumulate
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
 
 from trajopt.arguments import checked
+from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.errors import InputError
-from trajopt.problem.guessing import RememberedMotion
+from trajopt.guesses.base_path import flights, turn_to_heading
+from trajopt.guesses.legged import LeggedPosture
+from trajopt.motion.configurations import SolutionMotion
+from trajopt.problem.contact_motion import ContactMotion, RememberedMotion
 from trajopt.problem.problem import Problem
-from trajopt.reduced.footsteps import Foothold, FootstepPlan, feet_of
-from trajopt.reduced.lip import ComMotion
+from trajopt.reduced.com_program import CenterOfMassProgram
+from trajopt.reduced.footsteps import FootstepPlan, feet_of
+from trajopt.reduced.lip import ComMotion, Pendulum
 from trajopt.reduced.single_rigid_body import footholds_of
 from trajopt.robot.kinematics import contact_targets, inverse_kinematics
 from trajopt.robot.legs import require_free_flyer
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Motion
 from trajopt.solution.solution import Solution
-from trajopt.terrain.swing_paths import require_clearance, smooth_step, swing_profile
-
-if TYPE_CHECKING:
-    from scipy.interpolate import CubicHermiteSpline
 
 # Default height in m of a swing above the straight line between its footholds.
 DEFAULT_CLEARANCE = 0.05
 # Fixed-point steps that move the CoM to its target. Each leaves the fraction of mass that does not follow the
 # base. A fixed number from a fixed start keeps the posture smooth in time, as finite differences need.
 COM_STEPS = 4
+# Fraction of the soles kept as a margin for the pendulum's ZMP: the robot is not a pendulum.
+MARGIN = 0.5
 
 
 class BasePath:
-    """Free-flyer placement through a solution's samples over time, twice differentiable within a phase.
+    """Free-flyer placement of a solution over time.
 
-    Positions are quintics through position, velocity and acceleration. Rotations are cubics in exponential
-    coordinates relative to the previous sample. The path is stretched to the phase ``durations`` in s, by
-    default the solution's.
+    The path is stretched to the phase ``durations`` in s, by default the solution's.
     """
 
     def __init__(self, solution: Solution, durations: Sequence[float] | None = None) -> None:
-        self._pieces = [_PhasePath(solution, rows) for rows in solution.phases]
-        spans = [piece.t[-1] - piece.t[0] for piece in self._pieces] if durations is None else durations
-        self._starts = np.concatenate([[0.0], np.cumsum(spans)])
+        self._motion = SolutionMotion(solution)
+        self._durations = np.diff(self._motion.spans)[:, 0] if durations is None else np.array(durations)
+        self._ends = np.cumsum(self._durations)
 
     def __call__(self, t: float) -> pin.SE3:
         """Return the placement at ``t`` in s, clipped; at a phase boundary, that of the later phase."""
-        i = int(np.searchsorted(self._starts[1:-1], t, side="right"))
-        times = self._pieces[i].t
-        fraction = (t - self._starts[i]) / (self._starts[i + 1] - self._starts[i])
-        return self._pieces[i].placement(float(times[0] + fraction * (times[-1] - times[0])))
-
-
-class _PhasePath:
-    def __init__(self, solution: Solution, rows: range) -> None:
-        t = solution.t[rows.start : rows.stop]
-        first = np.append(True, np.diff(t) > 0)
-        index = np.arange(rows.start, rows.stop)[first]
-        q, v, a = solution.q[index], solution.v[index], solution.a[index]
-        self.t = solution.t[index]
-        self.rotations = [pin.Quaternion(*row[[6, 3, 4, 5]]).toRotationMatrix() for row in q]
-        turned = np.array(self.rotations)
-        velocity = np.einsum("kij,kj->ki", turned, v[:, :3])
-        acceleration = np.einsum("kij,kj->ki", turned, a[:, :3] + np.cross(v[:, 3:6], v[:, :3]))
-        from scipy.interpolate import BPoly  # slow to import
-
-        self.position = BPoly.from_derivatives(self.t, np.stack([q[:, :3], velocity, acceleration], axis=1))
-        self.turns = [self._turn(k, v[:, 3:6]) for k in range(len(self.t) - 1)]
-
-    def _turn(self, k: int, omega: np.ndarray) -> CubicHermiteSpline:
-        """Interpolate theta(t) from sample k: theta' is omega at its start, Jlog(theta) omega at its end."""
-        relative = self.rotations[k].T @ self.rotations[k + 1]
-        rates = np.array([omega[k], pin.Jlog3(relative) @ omega[k + 1]])
-        from scipy.interpolate import CubicHermiteSpline
-
-        return CubicHermiteSpline(self.t[k : k + 2], np.array([np.zeros(3), pin.log3(relative)]), rates)
-
-    def placement(self, t: float) -> pin.SE3:
-        time = float(np.clip(t, self.t[0], self.t[-1]))
-        k = int(np.clip(np.searchsorted(self.t, time, side="right") - 1, 0, len(self.turns) - 1))
-        return pin.SE3(self.rotations[k] @ pin.exp3(self.turns[k](time)), self.position(time))
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _LegPosture:
-    """Base on its path and feet on footholds; swings are in the world, in flight relative to the base."""
-
-    problem: Problem
-    base: Callable[[float], pin.SE3]
-    clearance: float
-
-    @cached_property
-    def feet(self) -> FootMotion:
-        initial = feet_of(self.problem.robot, self.problem.initial_q)
-        return FootMotion(plan=footholds_of(self.problem), initial=initial, clearance=self.clearance)
-
-    def __call__(self, t: float) -> np.ndarray:
-        placement, robot = self.base(t), self.problem.robot
-        q = robot.reference.copy()
-        q[:7] = pin.SE3ToXYZQUAT(placement)
-        return inverse_kinematics(
-            robot, q, foot_targets(robot, lambda name: self._foot(name, t, placement))
-        ).q
-
-    def _foot(self, name: str, t: float, placement: pin.SE3) -> Foothold:
-        swing = self.feet.at(name, t)
-        if not (isinstance(swing, FootSwing) and swing.airborne):
-            return self.feet.foothold(name, t)
-        part = smooth_step(swing.fraction)
-        before, after = (
-            self.base(when).actInv(foot.position)
-            for when, foot in zip(swing.times, (swing.start, swing.end), strict=True)
-        )
-        carried = placement.act((1 - part) * before + part * after)
-        return Foothold(position=carried, yaw=self.feet.foothold(name, t).yaw)
+        phase = int(np.searchsorted(self._ends[:-1], t, side="right"))
+        fraction = 1 + (t - self._ends[phase]) / self._durations[phase]
+        place = np.array([phase]), np.clip([fraction], 0.0, 1.0)
+        return pin.XYZQUATToSE3(self._motion.in_phase(*place, towards=0.5).q[0, :7])
 
 
 @checked
@@ -141,83 +73,16 @@ def guess_from_srb(problem: Problem, solution: Solution, *, clearance: float = D
             f"allowed: a free-flyer, 7, and phases {names}",
         )
     durations = [phase.duration for phase in problem.schedule.phases]
-    posture = _LegPosture(problem=problem, base=BasePath(solution, durations), clearance=clearance)
-    return RememberedMotion(posture)
-
-
-@dataclass(frozen=True)
-class FootSwing:
-    """A foot in the air between footholds ``start`` and ``end``, at a ``fraction`` of the ``times`` in s.
-
-    ``airborne``: all feet are in the air during part of the swing.
-    """
-
-    start: Foothold
-    end: Foothold
-    times: tuple[float, float]
-    fraction: float
-    airborne: bool
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class FootMotion:
-    """Position of each foot of a plan over time: on its foothold, or in a swing to the next one.
-
-    Before its first support, a foot is at its ``initial`` foothold, by contact name. A foot that does not
-    land again stays where it lifted off. ``clearance`` is the height of swings, m.
-    """
-
-    plan: FootstepPlan
-    initial: Mapping[str, Foothold]
-    clearance: float = DEFAULT_CLEARANCE
-
-    def __post_init__(self) -> None:
-        require_clearance(self.clearance)
-
-    @cached_property
-    def times(self) -> list[float]:
-        """Start of the plan, boundaries between supports, and end of the plan, s."""
-        return [0.0, *accumulate(support.duration for support in self.plan.supports)]
-
-    def at(self, name: str, t: float) -> Foothold | FootSwing:
-        """Return the foothold of the foot ``name`` at ``t``, or its swing; times are clipped."""
-        supports = self.plan.supports
-        now = int(np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, len(supports) - 1))
-        if name in supports[now].feet:
-            return supports[now].feet[name]
-        before = next((i for i in range(now, -1, -1) if name in supports[i].feet), -1)
-        after = next((i for i in range(now, len(supports)) if name in supports[i].feet), len(supports))
-        start = supports[before].feet[name] if before >= 0 else self.initial[name]
-        end = supports[after].feet[name] if after < len(supports) else start
-        begin, over = self.times[before + 1], self.times[after]
-        fraction = min(max((t - begin) / (over - begin), 0.0), 1.0)
-        airborne = any(not support.feet for support in supports[before + 1 : after])
-        return FootSwing(start, end, (begin, over), fraction, airborne)
-
-    def foothold(self, name: str, t: float) -> Foothold:
-        """Return the foot's pose in the world; a swing rises by ``clearance`` at its middle."""
-        swing = self.at(name, t)
-        if isinstance(swing, Foothold):
-            return swing
-        part = smooth_step(swing.fraction)
-        position = (1 - part) * swing.start.position + part * swing.end.position
-        lift = np.array([0.0, 0.0, self.clearance * swing_profile(swing.fraction)])
-        turn = math.remainder(swing.end.yaw - swing.start.yaw, math.tau)
-        return Foothold(position=position + lift, yaw=swing.start.yaw + part * turn)
-
-    def heading(self, t: float) -> float:
-        """Return the mean yaw of the feet since the start, rad."""
-        turns = [self.foothold(name, t).yaw - foot.yaw for name, foot in self.initial.items()]
-        return float(np.mean(turns))
-
-
-def foot_targets(robot: Robot, feet: Callable[[str], Foothold]) -> dict[str, pin.SE3 | np.ndarray]:
-    """Return inverse-kinematics targets by frame: positions of point feet, level poses of soles."""
-    poses = {}
-    for contact in robot.contacts:
-        foot = feet(contact.name)
-        poses[contact.name] = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, foot.yaw), foot.position)
-    return contact_targets(robot, poses)
+    robot, feet = problem.robot, feet_of(problem.robot, problem.initial_q)
+    return RememberedMotion(
+        LeggedPosture(
+            robot=robot,
+            base=BasePath(solution, durations),
+            contacts=footholds_of(problem).contact_motion(feet, clearance),
+            flights=flights(problem.schedule),
+            terrain=problem.terrain,
+        )
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -228,7 +93,7 @@ class WalkPosture:
     """
 
     robot: Robot
-    feet: FootMotion
+    feet: ContactMotion
     motion: ComMotion
     q: np.ndarray
     data: pin.Data = field(init=False)
@@ -242,10 +107,14 @@ class WalkPosture:
 
     def __call__(self, t: float) -> np.ndarray:
         """Return the configuration (nq,) at time ``t`` in s."""
-        targets = foot_targets(self.robot, lambda name: self.feet.foothold(name, t))
+        feet = {name: self.feet.pose(name, t) for name in self.feet.stances}
+        turns = [
+            feet[name].rotation @ stances[0].pose.rotation.T for name, stances in self.feet.stances.items()
+        ]
+        targets = contact_targets(self.robot, feet)
         goal = np.append(self.motion.com(t), self._start[2])
         q = self.q.copy()
-        turn = pin.Quaternion(pin.rpy.rpyToMatrix(0.0, 0.0, self.feet.heading(t)))
+        turn = pin.Quaternion(turn_to_heading(np.sum(turns, axis=0)))
         q[3:7] = (turn * pin.Quaternion(*q[[6, 3, 4, 5]])).coeffs()
         q[:3] += goal - self._start
         for _ in range(COM_STEPS):
@@ -258,7 +127,7 @@ class WalkPosture:
 def guess_from_lip(
     robot: Robot,
     plan: FootstepPlan,
-    motion: ComMotion,
+    motion: ComMotion | None = None,
     *,
     q: np.ndarray | None = None,
     clearance: float = DEFAULT_CLEARANCE,
@@ -268,15 +137,25 @@ def guess_from_lip(
     Args:
         robot: A robot on a free-flyer in world axes.
         plan: Footholds and their timing.
-        motion: Horizontal motion of the centre of mass.
+        motion: Horizontal motion of the centre of mass; default: that of the `CenterOfMassProgram`, with half
+            of the soles as a margin.
         q: Initial posture (nq,); default: the reference. The height of its centre of mass is kept.
         clearance: Height of the swings, m.
 
     Raises:
-        InputError: If the base is not a free-flyer in world axes.
+        InputError: If the base is not a free-flyer in world axes, or the pendulum cannot follow the plan.
     """
     require_free_flyer(robot)
     start = np.array(robot.reference if q is None else q, dtype=float)
-    feet = FootMotion(plan=plan, initial=feet_of(robot, start), clearance=clearance)
+    if motion is None:
+        com = pin.centerOfMass(robot.model, robot.model.createData(), start)
+        motion = CenterOfMassProgram(
+            robot=robot,
+            plan=plan,
+            pendulum=Pendulum(height=com[2], gravity=gravity_of(robot.model)),
+            com_start=com[:2],
+            shrink=MARGIN,
+        ).solve()
+    feet = plan.contact_motion(feet_of(robot, start), clearance)
     posture = WalkPosture(robot=robot, feet=feet, motion=motion, q=start)
     return RememberedMotion(posture)

@@ -16,16 +16,17 @@ from trajopt.arguments import checked
 from trajopt.dynamics.model_quantities import contact_jacobian, gravity_of
 from trajopt.errors import InputError
 from trajopt.guesses.base_path import (
-    SAME_TIME,
     BaseWaypoint,
     WaypointPath,
     flights,
     heading_of,
     turn_to_heading,
 )
-from trajopt.guesses.legged import LeggedPosture, legged_guess
+from trajopt.guesses.legged import legged_guess, stances_under
+from trajopt.problem.contact_motion import SAME_TIME
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Motion, Schedule
+from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.surface import UP
 from trajopt.terrain.swing_paths import smooth_step
 
@@ -33,6 +34,7 @@ from trajopt.terrain.swing_paths import smooth_step
 DIFFERENCE_STEP = 1e-4
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Pace:
     """A commanded motion of the base over level ground along an arc, optionally from or to rest.
@@ -53,11 +55,6 @@ class Pace:
     stops: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        numbers = (*self.velocity, self.turn_rate)
-        if len(numbers) != 3 or not all(math.isfinite(number) for number in numbers):
-            raise InputError(
-                f"velocity {self.velocity} m/s, turn rate {self.turn_rate} rad/s", "allowed: finite"
-            )
         for times in (self.starts, self.stops):
             if times is not None and not times[0] < times[1]:
                 raise InputError(
@@ -275,15 +272,15 @@ def _repeated(cycle: Schedule, mirror: Mapping[str, str] | None) -> tuple[Schedu
 
 def with_footholds(robot: Robot, schedule: Schedule, path: WaypointPath) -> Schedule:
     """Add footholds on level ground wherever contacts begin with a phase, as in `legged_guess`."""
-    posture = LeggedPosture(robot=robot, schedule=schedule, base=path, start=robot.reference)
+    stances = stances_under(robot, schedule, path, robot.reference, FlatGround())
     begins = np.cumsum([0.0, *(phase.duration for phase in schedule.phases)])
     rounding = SAME_TIME * schedule.duration
     phases = []
     for i, phase in enumerate(schedule.phases):
         places = {
-            name: stance.place.translation - robot.contact(name).radius * np.array(UP)
+            name: stance.pose.translation - robot.contact(name).radius * np.array(UP)
             for name in schedule.new_contacts(i)
-            for stance in posture.stances[name]
+            for stance in stances[name]
             if abs(stance.begin - begins[i]) < rounding
         }
         phases.append(replace(phase, footholds=places))

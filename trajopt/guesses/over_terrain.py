@@ -4,7 +4,7 @@ The base keeps its reference height above the plane that best fits the ground un
 that plane.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +15,8 @@ from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.errors import InputError
 from trajopt.guesses.base_path import BaseWaypoint, WaypointPath, flights, turn_to_heading
 from trajopt.guesses.gaits import Pace, base_pose, gait_path, with_footholds
-from trajopt.guesses.legged import FootStance, LeggedPosture, dropped_onto, legged_guess
+from trajopt.guesses.legged import dropped_onto, legged_guess, stances_under
+from trajopt.problem.contact_motion import Stance
 from trajopt.robot.kinematics import contact_positions, inverse_kinematics
 from trajopt.robot.legs import require_free_flyer
 from trajopt.robot.robot import Robot
@@ -72,17 +73,9 @@ def plan_over_terrain(
         later = tuple(_over_faces(phase, terrain) for phase in later)
     placed = placed_on(Schedule((held, *later)), terrain)
     start = standing_on(robot, terrain)
-    posture = LeggedPosture(
-        robot=robot,
-        schedule=placed,
-        base=level_path,
-        start=start,
-        terrain=terrain,
-        clearance=clearance,
-        swing=swing_path(terrain, clearance, radii={each.name: each.radius for each in robot.contacts}),
-    )
-    path = _path_over(robot, placed, pace, posture.stances)
-    guess = legged_guess(robot, placed, path, start=start, terrain=terrain, swing=posture.swing)
+    swing = swing_path(terrain, clearance, radii={each.name: each.radius for each in robot.contacts})
+    path = _path_over(robot, placed, pace, stances_under(robot, placed, level_path, start, terrain))
+    guess = legged_guess(robot, placed, path, start=start, terrain=terrain, swing=swing)
     return TerrainPlan(schedule=_freed(placed) if free else placed, start=start, guess=guess)
 
 
@@ -132,7 +125,7 @@ def _over_faces(phase: Phase, terrain: PiecewiseTerrain) -> Phase:
 
 
 def _path_over(
-    robot: Robot, schedule: Schedule, pace: Pace, stances: Mapping[str, list[FootStance]]
+    robot: Robot, schedule: Schedule, pace: Pace, stances: Mapping[str, Sequence[Stance]]
 ) -> WaypointPath:
     """Return the base path through all phase boundaries: the pace seen from above, over the ground."""
     waypoints, before = [], np.eye(3)
@@ -140,7 +133,7 @@ def _path_over(
         under = {}
         for name, held in stances.items():  # during swings on the straight line between footholds
             times = np.ravel([(stance.begin, stance.end) for stance in held])
-            places = np.repeat([stance.place.translation for stance in held], 2, axis=0)
+            places = np.repeat([stance.pose.translation for stance in held], 2, axis=0)
             under[name] = np.array([np.interp(time, times, axis) for axis in places.T])
         pose = _pose_over(robot, base_pose(robot, pace, float(time)), under)
         turn = pin.log3(pose.rotation @ before.T)

@@ -18,13 +18,12 @@ from trajopt.control.inverse_dynamics import TaskSpaceInverseDynamics
 from trajopt.control.limits import TickLimits
 from trajopt.control.robot_state import RobotState
 from trajopt.control.tasks import ContactForceTask, PostureTask
-from trajopt.dynamics.model_quantities import gravity_of, joints_of_rows
+from trajopt.dynamics.model_quantities import joints_of_rows
 from trajopt.errors import InputError
-from trajopt.guesses.body_guess import FootMotion, guess_from_lip
+from trajopt.guesses.body_guess import guess_from_lip
+from trajopt.problem.contact_motion import ContactMotion
 from trajopt.problem.problem import Problem
-from trajopt.reduced.com_program import CenterOfMassProgram
 from trajopt.reduced.footsteps import Walk, feet_of
-from trajopt.reduced.lip import Pendulum
 from trajopt.robot.kinematics import contact_poses, contact_targets, inverse_kinematics
 from trajopt.robot.legs import biped_legs, require_soles
 from trajopt.robot.natural_units import NaturalUnits
@@ -40,8 +39,6 @@ from trajopt.versions import VERSIONED, installed_version
 STEP_TIME, DOUBLE_SUPPORT, SHIFT_TIME, SETTLE_TIME, CLEARANCE = 1.9, 0.45, 1.6, 1.9, 0.06
 # Crouches to try, over l: straighter legs reach farther, and bend their ankles less.
 CROUCHES = (0.0, -0.02, 0.02, -0.04, 0.04, 0.08)
-# Fraction of the soles kept as a margin for the pendulum's ZMP: the robot is not a pendulum.
-MARGIN = 0.5
 # Intervals per natural time: standing feet then drift by less than a millimetre between samples.
 INTERVALS = 12
 # Step of the finite differences for velocity and acceleration, over the natural time.
@@ -145,26 +142,17 @@ class _OutOfReachError(Exception):
 def _walk_plan(robot: Robot, walk: Walk, crouch: float, clearance: float, friction: float) -> Solution:
     start = _crouched(robot, crouch)
     plan, feet = walk.plan(robot, start), feet_of(robot, start)
-    com = pin.centerOfMass(robot.model, robot.model.createData(), start)
-    program = CenterOfMassProgram(
-        robot=robot,
-        plan=plan,
-        pendulum=Pendulum(height=com[2], gravity=gravity_of(robot.model)),
-        com_start=com[:2],
-        shrink=MARGIN,
-    )
-    guess = guess_from_lip(robot, plan, program.solve(), q=start, clearance=clearance)
     problem = Problem(
         name="walk",
         robot=robot,
         schedule=plan.schedule(robot),
         terrain=FlatGround(friction=friction),
         initial_q=start,
-        guess=guess,
+        guess=guess_from_lip(robot, plan, q=start, clearance=clearance),
         terms=(),
         parameters={**asdict(walk), "crouch": crouch, "clearance": clearance, "friction": friction},
     )
-    return _Samples(problem, FootMotion(plan=plan, initial=feet, clearance=clearance)).solution()
+    return _Samples(problem, plan.contact_motion(feet, clearance)).solution()
 
 
 def _crouched(robot: Robot, crouch: float) -> np.ndarray:
@@ -185,7 +173,7 @@ def _crouched(robot: Robot, crouch: float) -> np.ndarray:
 class _Samples:
     """Samples of a walk, phase by phase: each interval has two nodes and a midpoint."""
 
-    def __init__(self, problem: Problem, feet: FootMotion) -> None:
+    def __init__(self, problem: Problem, feet: ContactMotion) -> None:
         self.problem, self.robot, self.feet = problem, problem.robot, feet
         self.units = units = NaturalUnits.of(self.robot.model)
         self.step = DIFFERENCE * units.time
@@ -296,7 +284,7 @@ class _Samples:
 
     def _require_reached(self, t: float, q: np.ndarray) -> None:
         for name, pose in contact_poses(self.robot, q).items():
-            away = float(np.linalg.norm(pose.translation - self.feet.foothold(name, t).position))
+            away = float(np.linalg.norm(pose.translation - self.feet.pose(name, t).translation))
             if away > REACHED * self.units.length:
                 robot, model = self.robot, self.robot.model
                 off = f"at {t:.2f} s foot '{name}' of '{robot.name}' is {1e3 * away:.3g} mm off its path"

@@ -30,15 +30,15 @@ NEAR_LIMIT = 0.02
 SINGULAR = 0.02
 # Fractions of the robot's length: feet on the same ground differ in height by less than the first, and their
 # shapes reach less than the second below the points that touch.
-UNEVEN, SUNK = 0.02, 0.2
+UNEVENNESS, SHAPE_DEPTH = 0.02, 0.2
 # If a foot's own shape is deeper in the ground than this, m, the contact's radius is not that of the foot.
-DEEP = 1e-3
+FOOT_DEPTH = 1e-3
 # Larger differences of left and right (rad, or fractions of mass and length) are not due to rounding.
 ASYMMETRIC = 0.1
 # Torques of mirrored legs are compared to this many decimals, N m, so that the first of them is named.
 DIGITS = 6
 # Number of names that are listed; the rest are counted.
-LISTED = 4
+LISTED_NAMES = 4
 
 _Lines = Iterator[str]
 
@@ -57,8 +57,8 @@ def find_faults(robot: Robot, standing: StandingPosture) -> tuple[str, ...]:
 
 def listed(names: Sequence[str]) -> str:
     """Names separated by commas; if there are many, the first few and the number of the rest."""
-    more = len(names) - LISTED
-    return ", ".join(names[:LISTED]) + (f" and {more} more" if more > 0 else "")
+    more = len(names) - LISTED_NAMES
+    return ", ".join(names[:LISTED_NAMES]) + (f" and {more} more" if more > 0 else "")
 
 
 def _bodies(robot: Robot) -> _Lines:
@@ -154,7 +154,7 @@ def _feet(robot: Robot, standing: StandingPosture) -> _Lines:
     poses = contact_poses(robot, robot.reference)
     heights = {name: pose.translation[2] - robot.contact(name).radius for name, pose in poses.items()}
     lowest = min(heights.values())
-    uneven = [name for name in standing.feet if heights[name] - lowest > UNEVEN * robot.length]
+    uneven = [name for name in standing.feet if heights[name] - lowest > UNEVENNESS * robot.length]
     if uneven:
         highest = max(heights[name] - lowest for name in standing.feet)
         yield f"feet are not at one height in the reference posture: {listed(uneven)}, up to {highest:.3g} m"
@@ -206,8 +206,8 @@ def _tool(robot: Robot) -> _Lines:
 
 def _deep_feet(robot: Robot, standing: StandingPosture) -> _Lines:
     """Report contacts above the lowest point of their body: at an ankle or a knee, or at a ball's centre."""
-    below = {name: depth for name, depth in depths_below(robot, standing).items() if depth > DEEP}
-    far = [name for name, depth in below.items() if depth > SUNK * robot.length]
+    below = {name: depth for name, depth in depths_below(robot, standing).items() if depth > FOOT_DEPTH}
+    far = [name for name, depth in below.items() if depth > SHAPE_DEPTH * robot.length]
     if far:
         worst = max(below[name] for name in far)
         yield f"shapes of feet reach {worst:.3g} m below the frames of {listed(far)}: are they the feet's?"

@@ -22,7 +22,7 @@ from trajopt.robot.reading import require_xml
 from trajopt.robot.robot import Robot
 
 # Number of pairs and files that the text names for each reason; the JSON has all of them.
-NAMED = 3
+NAMED_PAIRS = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,8 +50,8 @@ class ShapeFacts:
         counts = [f"{number} {_plural(kind, number)}" for kind, number in self.kinds.items()]
         lines = [f"{', '.join(counts)}; {self.pairs} {_plural('pair', self.pairs)} must not touch"]
         for reason, pairs in self.left_out.items():
-            named = ", ".join(f"{first} and {second}" for first, second in pairs[:NAMED])
-            more = ", ..." if len(pairs) > NAMED else ""
+            named = ", ".join(f"{first} and {second}" for first, second in pairs[:NAMED_PAIRS])
+            more = ", ..." if len(pairs) > NAMED_PAIRS else ""
             lines.append(f"{len(pairs)} {_plural('pair', len(pairs))} not judged, {reason}: {named}{more}")
         if not self.above_ground:
             lines.append("links reach below the base's ground in the reference posture: it is not judged")
@@ -60,8 +60,8 @@ class ShapeFacts:
     def _missing(self) -> list[str]:
         if not self.missing:
             return []
-        more = ", ..." if len(self.missing) > NAMED else ""
-        return [f"{len(self.missing)} shapes cannot be read: {'; '.join(self.missing[:NAMED])}{more}"]
+        more = ", ..." if len(self.missing) > NAMED_PAIRS else ""
+        return [f"{len(self.missing)} shapes cannot be read: {'; '.join(self.missing[:NAMED_PAIRS])}{more}"]
 
 
 def shape_facts(robot: Robot) -> ShapeFacts:

@@ -14,7 +14,7 @@ from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.robot.actuators.joint_force import joint_force
 from trajopt.robot.contact import Contact
 from trajopt.robot.kinematics import contact_poses
-from trajopt.robot.legs import LIFTED
+from trajopt.robot.legs import HAND_HEIGHT
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.terrain.bodies import outline
@@ -57,7 +57,7 @@ def standing_feet(robot: Robot) -> tuple[Contact, ...]:
         return ()
     poses = contact_poses(robot, robot.reference)
     lowest = min(pose.translation[2] for pose in poses.values())
-    within = LIFTED * robot.length
+    within = HAND_HEIGHT * robot.length
     return tuple(c for c in robot.contacts if poses[c.name].translation[2] - lowest < within)
 
 

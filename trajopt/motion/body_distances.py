@@ -12,7 +12,7 @@ from trajopt.solution.solution import Solution
 
 # Distances of pairs are exact within this distance beyond their margin, m; further away only for the nearest
 # pair of a kind.
-NEAR = 0.02
+RANGE = 0.02
 KINDS = ("ground", "obstacle", "self")
 
 
@@ -46,14 +46,14 @@ class FileBodies:
             scenes=tuple(scenes),
             kinds=np.array([kind for part in scenes for kind in _kinds(part)], dtype=object),
             margins=asked,
-            within=np.full(len(asked), NEAR + asked.max(initial=0.0)),
+            within=np.full(len(asked), RANGE + asked.max(initial=0.0)),
         )
         distances = measured.distances(plan.q)
         reach = measured.within.copy()
         for kind in KINDS:
             of_kind = measured.kinds == kind
             short = distances[:, of_kind] - asked[of_kind]
-            if short.size and short.min() > NEAR:  # only bounds: the nearest pair is at most as far as here
+            if short.size and short.min() > RANGE:  # only bounds: the nearest pair is at most as far as here
                 at = plan.q[np.unravel_index(short.argmin(), short.shape)[0]]
                 exact = np.concatenate([scene.distances(at)[0] for scene in scenes])
                 reach[of_kind] = (exact - asked)[of_kind].min() + asked.max(initial=0.0)

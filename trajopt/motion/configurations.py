@@ -15,7 +15,7 @@ from trajopt.solution.interpolation import MotionSample
 from trajopt.solution.solution import Solution
 
 # Fraction of a phase by which a time is moved inwards to select one of the two intervals at a node.
-INSIDE = 1e-9
+INWARD_SHIFT = 1e-9
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class SolutionMotion:
         """Return the samples at fractions of phases (K,); at nodes, of the intervals towards ``towards``."""
         plan = self.solution
         start, end = self.spans[phases].T
-        inner = start + (fractions + INSIDE * (towards - fractions)) * (end - start)
+        inner = start + (fractions + INWARD_SHIFT * (towards - fractions)) * (end - start)
         numbers = np.searchsorted(plan.interval_t[:, 0], inner, side="right") - 1
         numbers = np.clip(numbers, *self._ends[phases].T)
         begin, close = plan.interval_t[numbers].T

@@ -21,7 +21,7 @@ def passes_of(plan: Solution, cycles: int) -> int:
     """
     described = plan.description.periodicity
     if cycles > 1 and not described:
-        raise InputError("the solution is not periodic", "allowed: --cycles 1")
+        raise InputError("the solution is not periodic", "allowed: `cycles=1`")
     return cycles * (2 if described and described.mirror else 1)
 
 

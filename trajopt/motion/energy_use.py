@@ -5,15 +5,15 @@ import math
 import numpy as np
 import pinocchio as pin
 
-from trajopt.arguments import checked
+from trajopt.arguments import SignedFraction, checked
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
 from trajopt.solution.grid import interval_schemes
 from trajopt.solution.solution import Solution
-from trajopt.terms.drives import heat_coefficients, require_recovered
+from trajopt.terms.drives import heat_coefficients
 
 
 @checked
-def energy(solution: Solution, *, recovered: float = -1.0) -> float:
+def energy(solution: Solution, *, recovered: SignedFraction = -1.0) -> float:
     """Return the energy in J that the drives draw: the integral of `power` by the scheme's quadrature.
 
     It uses the torques, rates and drives of the solution at its collocation points.
@@ -25,7 +25,6 @@ def energy(solution: Solution, *, recovered: float = -1.0) -> float:
     Raises:
         InputError: If ``recovered`` is outside that range.
     """
-    require_recovered(recovered)
     torque = solution.drive_torque
     power = torque * solution.actuation.rates(solution.v)
     drawn = (1 + recovered) / 2 * power + (1 - recovered) / 2 * np.abs(power)
@@ -48,7 +47,7 @@ def _quadrature(solution: Solution) -> np.ndarray:
 
 
 @checked
-def cost_of_transport(solution: Solution, *, recovered: float = -1.0) -> float:
+def cost_of_transport(solution: Solution, *, recovered: SignedFraction = -1.0) -> float:
     """Return energy over weight times horizontal displacement of the centre of mass, dimensionless.
 
     The displacement is the straight line from the first sample to the last. The result is infinite without

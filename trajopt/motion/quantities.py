@@ -241,7 +241,7 @@ class DynamicsRows:
 
 def dynamics_rows(plan: Solution, samples: SampleQuantities, surfaces: TouchedSurfaces) -> DynamicsRows:
     """Return the residuals at every sample; velocity inputs have base rows RNEA(q, 0, 0) - sum J^T f."""
-    free, force = plan.unactuated_rows, plan.actuation.unmade(samples.generalized_force, plan.tau)
+    free, force = plan.unactuated_rows, plan.actuation.residual_force(samples.generalized_force, plan.tau)
     balance, held = force[:, free], samples.acceleration
     if plan.description.velocity_input:  # rows of statics and of contact velocities
         still = replace(plan, v=np.zeros_like(plan.v), a=np.zeros_like(plan.a))

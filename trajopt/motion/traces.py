@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -59,10 +59,6 @@ class Occurrence:
     time: float
     phase: str
     name: str = ""
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return JSON-able entries."""
-        return asdict(self)
 
     def __str__(self) -> str:
         return f"{self.name}{', ' if self.name else ''}{self.phase}, {self.time:.3f} s"

@@ -1,10 +1,15 @@
 from .catalogue import families as families
 from .catalogue import load as load
+from .contact_motion import ContactMotion as ContactMotion
+from .contact_motion import Stance as Stance
+from .contact_motion import stepped_posture as stepped_posture
 from .family import Choice as Choice
 from .family import Family as Family
 from .family import Parameter as Parameter
 from .family import choose as choose
+from .guessing import PosturePath as PosturePath
 from .guessing import default_guess as default_guess
+from .guessing import posture_guess as posture_guess
 from .periodicity import Periodicity as Periodicity
 from .problem import Problem as Problem
 from .published import PublishedOptimum as PublishedOptimum

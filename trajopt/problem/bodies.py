@@ -24,12 +24,12 @@ from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.smooth import SmoothTerrain
 
 # Shapes within this distance of a contact's ball, or of a corner of its sole, m, touch the ground with it.
-TOUCHING = 0.01
+TOUCH_GAP = 0.01
 # Links that touch the ground may be this deep in it, m, or this much deeper than in the reference or initial
 # posture: in stance other rows hold them on the ground.
-GIVE, DEEPER = 4e-4, 1e-4
+FOOT_DEPTH, MORE_DEPTH = 4e-4, 1e-4
 # A pair nearer than allowed by this much, m, is too near; a solver and the checks between moments leave less.
-TOO_NEAR = 5e-4
+GAP_SLACK = 5e-4
 # A ball of this radius, m, stands for the origin of a frame.
 POINT = 1e-4
 POINT_NAME = "origin of the frame"
@@ -71,7 +71,7 @@ class ProblemBodies:
         )
         points = [(centre.inverse() * carrier).act(point) for point in shape.points]
         reach = float(np.linalg.norm(points, axis=1).max()) + shape.radius
-        return reach <= max(shape.radius, contact.radius) + TOUCHING
+        return reach <= max(shape.radius, contact.radius) + TOUCH_GAP
 
     def planes(
         self,
@@ -147,7 +147,7 @@ def _margins(robot: Robot, scene: CollisionScene, margin: float, start: np.ndarr
         if start is not None:
             standing = np.minimum(standing, start[: scene.n_ground])
         touching = _touching(robot, scene.moving)
-        margins[: scene.n_ground] = np.where(touching, np.minimum(standing - DEEPER, -GIVE), 0.0)
+        margins[: scene.n_ground] = np.where(touching, np.minimum(standing - MORE_DEPTH, -FOOT_DEPTH), 0.0)
     if margin > 0 and scene.self_pairs:
         margins[scene.n_outer :] = self_margins(robot, scene, margin)
     return margins
@@ -168,11 +168,14 @@ def contacts_by_shape(robot: Robot, shapes: Sequence[LinkShape]) -> dict[str, li
 
 
 def _touching(robot: Robot, shapes: Sequence[LinkShape]) -> np.ndarray:
-    """Mask (n,) of shapes around a contact: within `TOUCHING` of its ball or of a corner of its sole."""
+    """Mask (n,) of shapes around a contact: within `TOUCH_GAP` of its ball or of a corner of its sole."""
     balls = {
         contact.name: [
             LinkShape.sphere(
-                f"{contact.name} corner {i}", contact.frame, [*corner, 0.0], contact.radius + TOUCHING
+                f"{contact.name} corner {i}",
+                contact.frame,
+                [*corner, 0.0],
+                contact.radius + TOUCH_GAP,
             )
             for i, corner in enumerate(contact.corners)
         ]
@@ -197,7 +200,7 @@ def _require_clear(
     margins = bodies.margin_of
     short = [float(distance) - margins[pair] for pair, distance in zip(pairs, distances, strict=True)]
     worst = min(range(len(short)), key=short.__getitem__, default=None)
-    if worst is not None and short[worst] < -TOO_NEAR - slack:
+    if worst is not None and short[worst] < -GAP_SLACK - slack:
         (first, second), margin = pairs[worst], margins[pairs[worst]]
         raise InputError(
             f"'{first}' {what} {distances[worst]:.4f} m from '{second}' (negative: inside it)",

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 # Name of a robot to look up, as opposed to a file.
 PLAIN_NAME = re.compile(r"[\w+-]+")
 # Names of parameters in solution files of earlier versions, and their current names.
-RENAMED = {"effort": "torque_limit", "effort_share": "torque_share", "minimise": "goal"}
+FORMER_NAMES = {"effort": "torque_limit", "effort_share": "torque_share", "minimise": "goal"}
 
 # Unit -> suffixes in which it, and its rate per second, may be written, and their sizes in that unit.
 _SUFFIXES = {
@@ -178,10 +178,12 @@ class Family:
         if robot is not None and not PLAIN_NAME.fullmatch(str(robot)):
             raise InputError(
                 f"the solution names the robot {robot!r:.200}, and files that solutions name are not run",
-                "allowed: a robot by name; of a file that you trust, --robot FILE.py",
+                "allowed: a robot by name; of a file that you trust, `robot=FILE.py`",
             )
         known = {parameter.name for parameter in self.parameters}
-        named = {name if name in known else RENAMED.get(name, name): value for name, value in given.items()}
+        named = {
+            name if name in known else FORMER_NAMES.get(name, name): value for name, value in given.items()
+        }
         return {name: value for name, value in named.items() if name in known and value is not None}
 
     def parameter(self, name: str) -> Parameter | Choice | RobotName:

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 # Contacts count as mirror images of each other within this fraction of the robot's length: the sides of real
 # robots have small offsets, and a half cycle only needs to match the feet.
-PAIRED = 5e-2
+PAIR_DISTANCE = 5e-2
 
 
 @checked
@@ -189,7 +189,7 @@ def landing_at_start(robot: Robot, schedule: Schedule, periodicity: Periodicity)
     """
     images = {contact.name: contact.name for contact in robot.contacts}
     if periodicity.mirror:
-        pairs = paired_contacts(robot, find_mirror(robot), PAIRED)
+        pairs = paired_contacts(robot, find_mirror(robot), PAIR_DISTANCE)
         images = {c.name: robot.contacts[pairs[i]].name for i, c in enumerate(robot.contacts)}
     first, last = schedule.phases[0], schedule.phases[-1]
     for name in first.contacts:

@@ -1,17 +1,20 @@
 """Whether the start, footholds and goals are possible: tested before solving, with the check's tolerances."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+import pinocchio as pin
 
+from trajopt.dynamics.model_content import frame_content, joint_kind
 from trajopt.errors import InputError
 from trajopt.problem.validation import require_limits
 from trajopt.robot.contact import Contact
 from trajopt.robot.kinematics import contact_poses
-from trajopt.robot.reach import LinkPoint, longest_between
 from trajopt.robot.robot import Robot
 from trajopt.robot.validation import require_configuration
 from trajopt.schedule.moment import Moment, Target
@@ -22,14 +25,67 @@ from trajopt.terms.terminal import TerminalState
 from trajopt.terrain.surface import SAME_PLANE, Surface
 from trajopt.terrain.terrain import Ground
 
+# Joints that rotate about a point fixed in their parent: distances from it are constant.
+ROTARY_JOINTS = ("RX", "RY", "RZ", "RUBX", "RUBY", "RUBZ", "RevoluteUnaligned", "RevoluteUnboundedUnaligned",
+           "Spherical", "SphericalZYX")  # fmt: skip
 # Tolerances of the check: distance of contacts from their ground where they begin, m; tilt of soles, rad.
 CONTACT_GAP, SOLE_TILT = 1e-3, 1e-2
 # In a goal, contacts may be this fraction of the robot's length away from where they stand, and places may be
 # farther apart than the links reach by as much: the drift of feet that the check allows for a 1 m robot.
 PLACE_SLACK = 1e-3
-
 _Places = Mapping[str, np.ndarray]
 _Goal = tuple[str, Target]  # the name of its term, and the target
+
+
+@dataclass(frozen=True)
+class LinkPoint:
+    """A point (3,) m in the frame of a joint; for joint 0, in the world."""
+
+    joint: int
+    point: np.ndarray
+
+    @classmethod
+    def of_frame(cls, model: pin.Model, frame: str) -> LinkPoint:
+        """The origin of a frame. Raises `InputError` that lists close names."""
+        frame_content(model, frame)
+        place = model.frames[model.getFrameId(frame)]
+        return cls(int(place.parentJoint), np.array(place.placement.translation))
+
+    def root(self, model: pin.Model) -> LinkPoint:
+        """Where the first joint on the path from the root to it is attached, in the world."""
+        way = _to_root(model, self.joint)
+        if len(way) == 1:
+            return self
+        return LinkPoint(0, np.array(model.jointPlacements[way[-2]].translation))
+
+
+def longest_between(model: pin.Model, one: LinkPoint, other: LinkPoint) -> float:
+    """Upper bound on the distance in m between two places, over all configurations; inf where there is none.
+
+    The bound is the sum of the lengths from joint to joint on the path between them. Prismatic joints have no
+    bound, whatever their limits.
+    """
+    ancestors = set(_to_root(model, one.joint))
+    top = next(joint for joint in _to_root(model, other.joint) if joint in ancestors)
+    (first, way), (second, back) = (_climb(model, place, top) for place in (one, other))
+    return float(np.linalg.norm(first - second)) + way + back
+
+
+def _to_root(model: pin.Model, joint: int) -> list[int]:
+    path = [joint]
+    while path[-1]:
+        path.append(int(model.parents[path[-1]]))
+    return path
+
+
+def _climb(model: pin.Model, place: LinkPoint, top: int) -> tuple[np.ndarray, float]:
+    """Point of body ``top`` where the branch to ``place`` is attached, and the length from there to it."""
+    joint, point, length = place.joint, place.point, 0.0
+    while joint != top:
+        turns = joint_kind(model, joint) in ROTARY_JOINTS
+        length += float(np.linalg.norm(point)) if turns else np.inf
+        joint, point = int(model.parents[joint]), np.array(model.jointPlacements[joint].translation)
+    return point, length
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,23 +7,21 @@ from types import MappingProxyType
 
 import numpy as np
 
-from trajopt.arguments import checked
+from trajopt.arguments import check_fields, checked
 from trajopt.errors import InputError
 from trajopt.problem.guessing import default_guess
 from trajopt.problem.periodicity import Periodicity, UnitRotation, closing_map, landing_at_start
 from trajopt.problem.places import Stances, require_places
 from trajopt.problem.validation import (
-    checked_duration_bounds,
-    checked_vector,
     require_acting,
     require_actuation,
+    require_duration_bounds,
     require_following,
     require_modes,
     require_no_impacts,
     require_payloads,
     require_phases,
     require_start,
-    require_terms,
 )
 from trajopt.robot.joint_checks import require_inertia
 from trajopt.robot.kinematics import contact_positions
@@ -109,15 +107,17 @@ class Problem:
     def __post_init__(self) -> None:
         robot, schedule = self.robot, self.schedule
         for label, usual in (("initial_q", robot.reference), ("initial_v", np.zeros(robot.nv))):
-            if getattr(self, label) is None:
-                object.__setattr__(self, label, usual)
-        for label, size in (("initial_q", robot.nq), ("initial_v", robot.nv)):
-            what = f"{label} of problem '{self.name}'"
-            object.__setattr__(self, label, checked_vector(what, getattr(self, label), size))
+            given = getattr(self, label)
+            array = np.array(usual if given is None else given, dtype=float)
+            if array.shape != usual.shape:
+                what = f"{label} of problem '{self.name}' has shape {array.shape}"
+                raise InputError(what, f"allowed: ({len(usual)},), finite")
+            array.setflags(write=False)
+            object.__setattr__(self, label, array)
         for label in ("parameters", "modes", "payloads"):
             object.__setattr__(self, label, MappingProxyType(dict(getattr(self, label))))
-        object.__setattr__(self, "terms", tuple(self.terms))
-        require_terms(self.name, self.terms)
+        for term in self.terms:
+            check_fields(term)
         require_actuation(robot, schedule, self.actuation, self.initial_v)
         if self.actuation == "torque":
             require_inertia(robot)
@@ -145,8 +145,7 @@ class Problem:
         whole = () if self.dynamics is not None else schedule.names
         require_payloads(robot, schedule, self.payloads, [name for name in whole if name not in self.modes])
         if self.duration_bounds is not None:
-            bounds = checked_duration_bounds(self.name, schedule, self.duration_bounds)
-            object.__setattr__(self, "duration_bounds", bounds)
+            require_duration_bounds(self.name, schedule, self.duration_bounds)
         require_acting(robot, schedule, self.terms)
         if self.guess is None:
             where = {"terrain": self.terrain, "start": self.initial_q, "periodicity": self.periodicity}

@@ -1,14 +1,12 @@
 """Validation of problems: inconsistent parts, invalid starts, and terms that cannot act."""
 
 import copy
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields
 from typing import Any
 
 import numpy as np
 
-from trajopt.arguments import check_fields
 from trajopt.dynamics.base_joint import BASE_ROWS
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.dynamics.virtual_base import LEAST_MARGIN, gimbal_margin
@@ -20,7 +18,6 @@ from trajopt.robot.stance.minimal_coordinates import StanceMode
 from trajopt.robot.validation import require_configuration
 from trajopt.schedule.moment import Moment
 from trajopt.schedule.schedule import Schedule
-from trajopt.terms.context_symbols import ACTUATIONS
 from trajopt.terms.costs import NodeCost
 from trajopt.terms.interfaces import DuringPhases, NodeConstraint, NodePlace, PointConstraint, Term, nodes_of
 from trajopt.terms.limits import PositionLimits
@@ -47,26 +44,6 @@ INTERVALS = 200
 NO_PHASE = "\0"
 
 
-def checked_vector(what: str, values: np.ndarray, size: int) -> np.ndarray:
-    """Return a read-only copy of a finite vector (size,). Raises `InputError` for anything else."""
-    array = np.array(values, dtype=float)
-    if array.shape != (size,) or not np.all(np.isfinite(array)):
-        fault = f"has shape {array.shape}" if array.shape != (size,) else "is not finite"
-        raise InputError(f"{what} {fault}", f"allowed: ({size},), finite")
-    array.setflags(write=False)
-    return array
-
-
-def require_terms(problem: str, terms: Sequence[Term]) -> None:
-    """Raise `InputError` for terms that are neither costs nor constraints."""
-    for term in terms:
-        if not isinstance(term, Term):
-            raise InputError(
-                f"a term of problem '{problem}' is {shown(term)}", "allowed: costs and constraints"
-            )
-        check_fields(term)
-
-
 def require_phase(schedule: Schedule, name: str, what: str) -> None:
     """Raise `InputError`, beginning with ``what``, for a phase that the schedule does not have."""
     if name not in schedule.names:
@@ -87,9 +64,7 @@ def require_phases(problem: str, robot: Robot, schedule: Schedule) -> None:
 
 
 def require_actuation(robot: Robot, schedule: Schedule, actuation: str, initial_v: np.ndarray) -> None:
-    """Raise `InputError` for an unknown actuation, or a phase that a velocity source cannot model."""
-    if actuation not in ACTUATIONS:
-        raise not_among(ACTUATIONS, actuation, f"actuation {actuation!r} is unknown")
+    """Raise `InputError` for a start or a phase that a velocity source cannot model."""
     if actuation != "velocity":
         return
     if initial_v.any():
@@ -191,21 +166,14 @@ def require_payloads(
             )
 
 
-def checked_duration_bounds(
-    problem: str, schedule: Schedule, bounds: tuple[float, float]
-) -> tuple[float, float]:
-    """Return bounds on the total duration in s as numbers. Raises `InputError` if phases cannot meet them."""
-    lower, upper = schedule.duration_range
-    try:
-        low, high = (float(bound) for bound in bounds)
-    except (TypeError, ValueError):
-        low = high = math.nan
+def require_duration_bounds(problem: str, schedule: Schedule, bounds: tuple[float, float]) -> None:
+    """Raise `InputError` for bounds on the total duration, s, that the phases cannot meet."""
+    (lower, upper), (low, high) = schedule.duration_range, bounds
     if not (0 < low <= high and high >= lower and low <= upper):
         raise InputError(
             f"duration_bounds of problem '{problem}' are {bounds} s",
             f"allowed: (lower, upper), meeting what the phases allow, {lower:g} to {upper:g} s",
         )
-    return low, high
 
 
 def require_start(

@@ -18,14 +18,16 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Literal, get_args
+from typing import Annotated, Literal
 
 import numpy as np
 import osqp
 from scipy import sparse
 from scipy.linalg import expm
 
-from trajopt.errors import InputError, require_positive, shown
+from trajopt.arguments import Positive, checked
+from trajopt.errors import InputError
+from trajopt.kinds import ArrayShape
 from trajopt.reduced.footsteps import FootstepPlan, support_vertices
 from trajopt.reduced.lip import ComMotion, CubicMotion, Pendulum, PendulumMotion
 from trajopt.robot.robot import Robot
@@ -42,6 +44,7 @@ TRUSTED = 1e-6
 COUNT_SLACK = 1e-9
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class CenterOfMassProgram:
     """The quadratic program of a walk; ``solve()`` returns the motion.
@@ -67,20 +70,15 @@ class CenterOfMassProgram:
     robot: Robot
     plan: FootstepPlan
     pendulum: Pendulum
-    com_start: np.ndarray
-    velocity_start: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    com_start: Annotated[np.ndarray, ArrayShape((2,))]
+    velocity_start: Annotated[np.ndarray, ArrayShape((2,))] = field(default_factory=lambda: np.zeros(2))
     control: PendulumInput = "zmp_rate"
     terminal: EndCondition = "rest"
-    step: float = 0.05
-    smoothing: float = 0.05
+    step: Positive = 0.05
+    smoothing: Positive = 0.05
     shrink: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, allowed in (("control", get_args(PendulumInput)), ("terminal", get_args(EndCondition))):
-            if getattr(self, name) not in allowed:
-                raise InputError(f"{name}={shown(getattr(self, name))}", f"allowed: {', '.join(allowed)}")
-        for name in ("step", "smoothing"):
-            require_positive(name, getattr(self, name), "s")
         if not 0 <= self.shrink < 1:
             raise InputError(f"shrink is {self.shrink:g}", "allowed: 0 <= shrink < 1")
 

@@ -1,47 +1,53 @@
 """Footsteps: footholds and their timing, the plan of a walk, and its schedule."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from types import MappingProxyType
+from typing import Annotated
 
 import numpy as np
+import pinocchio as pin
 
-from trajopt.errors import InputError, finite_array, require_finite, require_positive
-from trajopt.pickling import picklable
+from trajopt.arguments import Positive, checked
+from trajopt.errors import InputError
+from trajopt.kinds import ArrayShape, Range
+from trajopt.problem.contact_motion import ContactMotion, Stance, stances_of
 from trajopt.robot.kinematics import contact_poses
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.terrain.surface import UP
 
 
-@picklable
+@checked
 @dataclass(frozen=True, eq=False)
 class Foothold:
     """A foot on level ground: ``position`` (3,) of the contact frame, world, m; ``yaw`` in rad."""
 
-    position: np.ndarray
+    position: Annotated[np.ndarray, ArrayShape((3,))]
     yaw: float = 0.0
 
-    def __post_init__(self) -> None:
-        require_finite("yaw of a foothold", self.yaw, "rad")
-        object.__setattr__(self, "position", finite_array("foothold", self.position, unit="m"))
+    @property
+    def pose(self) -> pin.SE3:
+        """Level pose of the contact frame, world, m."""
+        return pin.SE3(pin.utils.rotate("z", self.yaw), self.position)
 
 
+@checked
 @dataclass(frozen=True)
 class StepPhase:
     """A period, s, with constant feet on the ground, by contact name; no feet in flight."""
 
     name: str
-    duration: float
+    duration: Positive
     feet: Mapping[str, Foothold] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        require_positive(f"duration of support '{self.name}'", self.duration, "s")
         object.__setattr__(self, "feet", MappingProxyType(dict(self.feet)))
 
 
+@checked
 @dataclass(frozen=True)
 class FootstepPlan:
     """Supports in time order; a foot in two consecutive supports does not move."""
@@ -49,7 +55,6 @@ class FootstepPlan:
     supports: tuple[StepPhase, ...]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "supports", tuple(self.supports))
         if not self.supports:
             raise InputError("the footstep plan has no support", "allowed: at least one")
         for before, after in pairwise(self.supports):
@@ -86,6 +91,22 @@ class FootstepPlan:
             before = support.feet
         return Schedule(tuple(phases))
 
+    def contact_motion(self, start: Mapping[str, Foothold], clearance: float) -> ContactMotion:
+        """Return the feet over time, with swings of height ``clearance`` m.
+
+        Before its first support a foot is where ``start`` has it, by contact name. Raises InputError for a
+        clearance that is negative or not finite.
+        """
+        schedule, first = self.schedule(), {**start, **self.supports[0].feet}
+
+        def stances(name: str) -> Iterator[Stance]:
+            def landing(index: int, begin: float, end: float) -> pin.SE3:
+                return self.supports[index].feet[name].pose
+
+            return stances_of(schedule, name, first[name].pose, landing)
+
+        return ContactMotion(stances={name: tuple(stances(name)) for name in first}, clearance=clearance)
+
 
 def support_vertices(robot: Robot, support: StepPhase, shrink: float = 0.0) -> np.ndarray:
     """Return points (n, 2) in m whose convex hull is the support polygon: contact points, corners of soles.
@@ -118,6 +139,7 @@ def feet_of(robot: Robot, q: np.ndarray) -> dict[str, Foothold]:
     return feet
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Walk:
     """A walk of a biped that starts and ends at rest with its feet side by side.
@@ -140,27 +162,16 @@ class Walk:
         InputError: If a number is out of range.
     """
 
-    steps: int = 2
+    steps: Annotated[int, Range(2)] = 2
     length: float = 0.15
     side: float = 0.0
-    width: float | None = None
+    width: Positive | None = None
     turn: float = 0.0
-    step_time: float = 0.6
-    double_support: float = 0.15
-    shift_time: float = 0.5
-    settle_time: float = 0.6
+    step_time: Positive = 0.6
+    double_support: Positive = 0.15
+    shift_time: Positive = 0.5
+    settle_time: Positive = 0.6
     first: str | None = None
-
-    def __post_init__(self) -> None:
-        if not self.steps >= 2:
-            raise InputError(f"steps is {self.steps}", "allowed: 2 or more")
-        for name in ("step_time", "double_support", "shift_time", "settle_time"):
-            require_positive(name, getattr(self, name), "s")
-        if self.width is not None:
-            require_positive("width", self.width, "m")
-        require_finite("length", self.length, "m")
-        require_finite("side", self.side, "m")
-        require_finite("turn", self.turn, "rad")
 
     def plan(self, robot: Robot, q: np.ndarray | None = None) -> FootstepPlan:
         """Return the supports of this walk from the feet at ``q`` (nq,), by default the robot's reference.

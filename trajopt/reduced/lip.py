@@ -1,4 +1,4 @@
-"""The linear inverted pendulum in closed form: motion, orbital energy, capture point, walking on footsteps.
+"""The linear inverted pendulum in closed form: motion, orbital energy, capture point.
 
 A point mass moves at constant height z above level ground over its zero moment point (ZMP) p; for each axis
 
@@ -17,24 +17,19 @@ A motion is a sequence of such pieces. Horizontal vectors have 2 entries, in m.
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
-from typing import Protocol
+from typing import Annotated, Protocol
 
 import numpy as np
 
+from trajopt.arguments import Positive, checked
 from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
-from trajopt.errors import InputError, finite_array, require_positive
-from trajopt.pickling import picklable
-from trajopt.reduced.footsteps import FootstepPlan, support_vertices
-from trajopt.robot.robot import Robot
-
-# Least-squares residual below which a point is inside a polygon, m: rounding of foot positions.
-INSIDE = 1e-9
+from trajopt.errors import InputError
+from trajopt.kinds import ArrayShape
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Pendulum:
     """Linear inverted pendulum.
@@ -47,12 +42,8 @@ class Pendulum:
         InputError: If a number is not positive.
     """
 
-    height: float
-    gravity: float = STANDARD_GRAVITY
-
-    def __post_init__(self) -> None:
-        for name in ("height", "gravity"):
-            require_positive(f"{name} of the pendulum", getattr(self, name))
+    height: Positive
+    gravity: Positive = STANDARD_GRAVITY
 
     @property
     def omega(self) -> float:
@@ -74,10 +65,6 @@ class Pendulum:
         """Return the ZMP (2,) over which the pendulum comes to rest: c + c' / omega."""
         return np.asarray(com) + np.asarray(velocity) / self.omega
 
-    def dcm_after(self, dcm: np.ndarray, zmp: np.ndarray, time: float) -> np.ndarray:
-        """Return p + exp(omega t) (xi - p), the divergent component (2,) after ``time`` over a fixed ZMP."""
-        return zmp + math.exp(self.omega * time) * (np.asarray(dcm) - zmp)
-
     def orbital_energy(self, com: np.ndarray, velocity: np.ndarray, zmp: np.ndarray) -> np.ndarray:
         """Return c'^2 / 2 - omega^2 (c - p)^2 / 2 for each axis (2,), J/kg; constant for a constant ZMP.
 
@@ -98,20 +85,7 @@ class Pendulum:
         return radius
 
 
-def dcm_at_steps(
-    pendulum: Pendulum, zmps: Sequence[np.ndarray], durations: Sequence[float], final: np.ndarray
-) -> np.ndarray:
-    """Return the divergent component (n + 1, 2) at the ends of steps over constant ZMPs.
-
-    xi_k = p_k + exp(-omega T_k) (xi_(k+1) - p_k), backwards from xi_n = ``final`` (2,): the bounded motion.
-    """
-    dcm = [np.asarray(final, dtype=float)]
-    for zmp, duration in zip(reversed(list(zmps)), reversed(list(durations)), strict=True):
-        dcm.append(pendulum.dcm_after(dcm[-1], np.asarray(zmp), -duration))
-    return np.array(dcm[::-1])
-
-
-@picklable
+@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PendulumMotion:
     """The bounded CoM motion over a piecewise linear ZMP with n pieces, from c(0) and xi(T).
@@ -126,16 +100,17 @@ class PendulumMotion:
     """
 
     pendulum: Pendulum
-    times: np.ndarray
-    zmp: np.ndarray
-    com_start: np.ndarray
-    dcm_end: np.ndarray
+    times: Annotated[np.ndarray, ArrayShape((None,))]
+    zmp: Annotated[np.ndarray, ArrayShape((None, 2, 2))]
+    com_start: Annotated[np.ndarray, ArrayShape((2,))]
+    dcm_end: Annotated[np.ndarray, ArrayShape((2,))]
 
     def __post_init__(self) -> None:
-        n = max(len(self.times) - 1, 1)
-        for name, shape in (("times", (n + 1,)), ("zmp", (n, 2, 2)), ("com_start", (2,)), ("dcm_end", (2,))):
-            array = finite_array(f"{name} of a pendulum's motion", getattr(self, name), shape)
-            object.__setattr__(self, name, array)
+        if len(self.times) != len(self.zmp) + 1:
+            raise InputError(
+                f"a pendulum's motion has {len(self.times)} times for {len(self.zmp)} pieces",
+                "allowed: one more than pieces",
+            )
         if not (np.diff(self.times) > 0).all():
             raise InputError(f"times of a pendulum's motion are {self.times}", "allowed: increasing")
 
@@ -193,25 +168,6 @@ class PendulumMotion:
     def dcm(self, t: float) -> np.ndarray:
         """Return the divergent component of motion (2,), m."""
         return self.pendulum.capture_point(self.com(t), self.velocity(t))
-
-
-def first_zmp_for(
-    pendulum: Pendulum, times: np.ndarray, zmp: np.ndarray, dcm_start: np.ndarray
-) -> np.ndarray:
-    """Return the initial ZMP (2,) for xi(0) = ``dcm_start`` (2,), with the motion captured at the end.
-
-    ``zmp`` (n, 2, 2) gives the other values. xi(0) is affine in the initial ZMP, so no search is needed. For
-    a start at rest at c, set xi(0) = c.
-    """
-    starts = []
-    for value in (0.0, 1.0):
-        trial = np.array(zmp, dtype=float)
-        trial[0, 0] = value
-        motion = PendulumMotion(
-            pendulum=pendulum, times=times, zmp=trial, com_start=np.zeros(2), dcm_end=trial[-1, 1]
-        )
-        starts.append(motion.dcm(times[0]))
-    return np.asarray((np.asarray(dcm_start) - starts[0]) / (starts[1] - starts[0]))
 
 
 class ComMotion(Protocol):
@@ -273,53 +229,3 @@ class CubicMotion:
         """Return the zero moment point c - c'' / omega^2, (2,), m."""
         state = self._state(t)
         return np.asarray(state[0] - state[2] / self.pendulum.omega**2)
-
-
-def analytic_motion(
-    robot: Robot, plan: FootstepPlan, pendulum: Pendulum, com_start: np.ndarray
-) -> PendulumMotion:
-    """Return a closed-form walk from rest at ``com_start`` (2,) m that ends captured.
-
-    The ZMP is linear in each support, from the middle of the feet shared with the previous support to the
-    middle of those shared with the next, so it is constant in single support. In the last support it reaches
-    the middle after half the time; the pendulum comes to rest up to exp(-omega T). The initial ZMP follows
-    from the start at rest. Raises InputError if it is outside the first support, which is then too short.
-    """
-    times, zmp = [0.0], []
-    middles = [support_vertices(robot, support).mean(axis=0) for support in plan.supports]
-    shared: list[np.ndarray | None] = []  # middle (2,) of the feet common to two consecutive supports
-    for support, other in pairwise(plan.supports):
-        feet = {name: foot for name, foot in support.feet.items() if name in other.feet}
-        vertices = support_vertices(robot, replace(support, feet=feet)) if feet else None
-        shared.append(None if vertices is None else vertices.mean(axis=0))
-    for i, support in enumerate(plan.supports):
-        before = shared[i - 1] if i else None
-        first = middles[i] if before is None else before
-        if i < len(shared):
-            zmp.append([first, middles[i] if shared[i] is None else shared[i]])
-            times.append(times[-1] + support.duration)
-        else:
-            zmp += [[first, middles[i]], [middles[i], middles[i]]]
-            times += [times[-1] + support.duration / 2, times[-1] + support.duration]
-    pieces = np.array(zmp)
-    pieces[0, 0] = first_zmp_for(pendulum, np.array(times), pieces, com_start)
-    support, begins = plan.supports[0], pieces[0, 0]
-    if distance_outside(begins, support_vertices(robot, support)) > INSIDE:
-        raise InputError(
-            f"from rest the ZMP would begin outside support '{support.name}', at {np.round(begins, 3)} m",
-            f"allowed: inside; make it longer than {support.duration:g} s",
-        )
-    return PendulumMotion(
-        pendulum=pendulum, times=np.array(times), zmp=pieces, com_start=com_start, dcm_end=pieces[-1, 1]
-    )
-
-
-def distance_outside(point: np.ndarray, vertices: np.ndarray) -> float:
-    """Return the approximate distance (m) of a point (2,) from the convex hull of ``vertices`` (n, 2).
-
-    Residual of non-negative least squares over the vertices' weights, 0 inside; also for points and segments.
-    """
-    from scipy.optimize import nnls  # takes a quarter of a second to import
-
-    centred = np.vstack([(vertices - point).T, np.ones(len(vertices))])
-    return float(nnls(centred, np.array([0.0, 0.0, 1.0]))[1])

@@ -27,8 +27,8 @@ from trajopt.terrain.surface import SAME_PLANE
 # A base lower than this fraction of the reach does not stand on its contacts: it lies, or hangs.
 STANDING_PART = 0.05
 
-# Feet less than ROUNDED m above the ground are meant to be on it; LEVELLING Newton steps put them there.
-ROUNDED, LEVELLING = 1e-3, 4
+# Feet less than this height in m above the ground are meant to be on it; Newton steps that put them there.
+HEIGHT_ROUNDING, LEVELLING_STEPS = 1e-3, 4
 
 # A plane counts as one of the world's coordinate planes up to rounding in description files.
 ALIGNED = 1e-12
@@ -195,8 +195,8 @@ def _named_posture(model: pin.Model, values: Mapping[str, float]) -> np.ndarray:
 def put_on_ground(model: pin.Model, base: Base, contacts: Sequence[Contact], q: np.ndarray) -> np.ndarray:
     """Return ``q`` with the base moved up or down until the lowest of ``contacts`` touches height 0.
 
-    Angles are often rounded, so points less than `ROUNDED` higher are also moved onto the ground, by the
-    least change of the joints.
+    Angles are often rounded, so points less than `HEIGHT_ROUNDING` higher are also moved onto the ground, by
+    the least change of the joints.
     """
     if base == "fixed" or not contacts:
         return q
@@ -215,17 +215,17 @@ def put_on_ground(model: pin.Model, base: Base, contacts: Sequence[Contact], q: 
 
 
 def _levelled(model: pin.Model, base: Base, contacts: Sequence[Contact], q: np.ndarray) -> np.ndarray:
-    """Return ``q`` with point contacts less than `ROUNDED` above height 0 moved onto it, else unchanged."""
+    """Return ``q`` with point contacts up to `HEIGHT_ROUNDING` above height 0 moved onto it."""
     if any(contact.kind != "point" for contact in contacts):
         return q
     data, first, level = model.createData(), BASE_ROWS[base], q
-    for step in range(LEVELLING):
+    for step in range(LEVELLING_STEPS):
         pin.computeJointJacobians(model, data, level)
         frames = [model.getFrameId(contact.frame) for contact in contacts]
         pin.updateFramePlacements(model, data)
         heights = [data.oMf[frame].translation[2] for frame in frames]
         gaps = np.array([height - contact.radius for height, contact in zip(heights, contacts, strict=True)])
-        if step == 0 and not SAME_PLANE < np.abs(gaps).max() < ROUNDED:
+        if step == 0 and not SAME_PLANE < np.abs(gaps).max() < HEIGHT_ROUNDING:
             return q
         world = (pin.getFrameJacobian(model, data, f, pin.LOCAL_WORLD_ALIGNED)[2, first:] for f in frames)
         moved = np.linalg.lstsq(np.array(list(world)), -gaps, rcond=None)[0]

@@ -8,9 +8,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import pinocchio as pin
 
-from trajopt.arguments import NonNegative, UnboundedPositive, checked
+from trajopt.arguments import Array3, Array33, NonNegative, UnboundedPositive, checked
 from trajopt.errors import InputError
-from trajopt.kinds import ArrayShape, Range
+from trajopt.kinds import Range
 from trajopt.robot.robot import Robot
 
 Bound = Annotated[float, Range(infinite=True)]
@@ -43,8 +43,8 @@ class DhJoint:
     theta: float = 0.0
     kind: Literal["revolute", "prismatic"] = "revolute"
     mass: NonNegative = 0.0
-    centre: Annotated[np.ndarray, ArrayShape((3,))] | None = None
-    inertia: Annotated[np.ndarray, ArrayShape((3, 3))] | None = None
+    centre: Array3 | None = None
+    inertia: Array33 | None = None
     lower: Bound = -math.inf
     upper: Bound = math.inf
     velocity: UnboundedPositive = math.inf

@@ -23,7 +23,7 @@ from trajopt.robot.robot import Robot
 Edge = Literal["heel", "toe"]
 EDGES: tuple[Edge, ...] = get_args(Edge)
 # Least |cosine| between a sole's x axis and the base's: below it, the edges across x are the sole's sides.
-ALONG = 0.7
+LEAST_COSINE = 0.7
 
 
 @checked
@@ -53,7 +53,7 @@ def with_edges(robot: Robot) -> Robot:
 def _corners(robot: Robot, model: pin.Model, sole: Contact) -> list[Contact]:
     """Contacts at the corners of a sole, whose frames are added to ``model``."""
     forward = _forward(robot, sole)
-    if abs(forward) < ALONG:
+    if abs(forward) < LEAST_COSINE:
         raise InputError(
             f"sole '{sole.name}' of robot '{robot.name}' lies across the base's x axis",
             "allowed: soles whose x axis points forward or back",

@@ -21,7 +21,7 @@ Limit = Literal["velocity", "torque"]
 # ten million times less than that of a finger on a humanoid, but above rounding.
 NO_INERTIA = 1e-13
 # Step, rad or m, to a second posture: in the first one a mass may happen to lie on a joint's axis.
-BESIDE = 0.3
+POSTURE_STEP = 0.3
 REMEDIES = {
     "velocity": "the actuator's in <limit velocity=...>, or lock the joint",
     "torque": "the actuator's in <limit effort=...>, lock the joint, or state it as passive",
@@ -52,7 +52,7 @@ def require_inertia(robot: Robot) -> None:
 
 def joints_without_inertia(robot: Robot) -> list[str]:
     """Joints behind the base that move no inertia in the reference posture and in one nearby."""
-    beside = np.full(robot.nv, BESIDE)
+    beside = np.full(robot.nv, POSTURE_STEP)
     beside[: BASE_ROWS[robot.base]] = 0.0
     there = np.asarray(pin.integrate(robot.model, robot.reference, beside))
     return [

@@ -18,9 +18,9 @@ from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.robot import Robot
 
 # A contact higher above the lowest one than this fraction of the robot's length is a hand or a knee.
-LIFTED = 0.1
+HAND_HEIGHT = 0.1
 # Feet closer along an axis than this fraction of the robot's length cannot be distinguished by it.
-APART = 0.02
+FOOT_GAP = 0.02
 
 # A joint nearer to its parent than this fraction of the robot's length counts as being at the same place.
 SAME_JOINT = 0.25
@@ -74,7 +74,7 @@ def feet_in_base(robot: Robot, q: np.ndarray | None = None) -> dict[str, np.ndar
     return {
         name: base.actInv(position)
         for name, position in placements.items()
-        if position[2] - lowest < LIFTED * robot.length
+        if position[2] - lowest < HAND_HEIGHT * robot.length
     }
 
 
@@ -147,10 +147,11 @@ def _halves(
     ordered = sorted(feet, key=lambda name: float(feet[name][axis]))
     half = len(ordered) // 2
     gap = feet[ordered[half]][axis] - feet[ordered[half - 1]][axis]
-    if not gap > APART * robot.length:
+    least = FOOT_GAP * robot.length
+    if not gap > least:
         raise InputError(
             f"feet {', '.join(ordered)} of robot '{robot.name}' are not {how} in its reference posture",
-            f"allowed: more than {APART * robot.length:.3g} m apart, x forward and y to the left of the base",
+            f"allowed: more than {least:.3g} m apart, x forward and y to the left of the base",
         )
     return {name: feet[name] for name in ordered[:half]}, {name: feet[name] for name in ordered[half:]}
 

@@ -8,8 +8,9 @@ from trajopt.robot.actuators.actuation import Thruster
 
 # Values of MuJoCo's mjtJoint, mjtTrn (a joint in its own or its parent's axes), mjtGain, mjtBias and mjtDyn.
 FREE, BALL, SLIDE, HINGE = range(4)
-ON_JOINT = (0, 1)
-AT_SITE, PARALLEL = 4, 1e-9
+JOINT_TRANSMISSIONS = (0, 1)
+SITE_TRANSMISSION = 4
+PARALLEL_ERROR = 1e-9
 FIXED_GAIN, AFFINE_GAIN, MUSCLE, NO_BIAS, INTEGRATOR = 0, 1, 2, 0, 1
 
 
@@ -39,7 +40,9 @@ def actuation_of(compiled: Any) -> JointActuation:
     driven, thrusters, others = np.zeros(compiled.njnt, dtype=bool), [], []
     for index in range(count):
         joint, gear = int(compiled.actuator_trnid[index, 0]), compiled.actuator_gear[outputs[index], 0]
-        plain = compiled.actuator_trntype[index] in ON_JOINT and not _is_muscle_or_damper(compiled, index)
+        plain = compiled.actuator_trntype[index] in JOINT_TRANSMISSIONS and not _is_muscle_or_damper(
+            compiled, index
+        )
         if not plain or compiled.jnt_type[joint] not in (SLIDE, HINGE):
             name = compiled.actuator(index).name or f"actuator{index}"
             thruster = _thruster(compiled, index, name, compiled.actuator_gear[outputs[index]])
@@ -67,11 +70,11 @@ def _thruster(compiled: Any, index: int, name: str, gear: np.ndarray) -> Thruste
     """Thruster of an actuator at a site that pushes one way with a moment about its axis alone, or None."""
     site, reference = (int(number) for number in compiled.actuator_trnid[index])
     size = float(np.linalg.norm(gear[:3]))
-    if compiled.actuator_trntype[index] != AT_SITE or reference >= 0 or not size > 0:
+    if compiled.actuator_trntype[index] != SITE_TRANSMISSION or reference >= 0 or not size > 0:
         return None
     axis, (least, most) = gear[:3] / size, size * _force_range(compiled, index)
     drag = float(gear[3:] @ axis) / size
-    if least < 0 or np.abs(gear[3:] - size * drag * axis).max() > PARALLEL * size:
+    if least < 0 or np.abs(gear[3:] - size * drag * axis).max() > PARALLEL_ERROR * size:
         return None
     frame = compiled.site(site).name
     return Thruster(name=name, frame=frame, axis=tuple(axis.tolist()), drag=drag, least=least, most=most)

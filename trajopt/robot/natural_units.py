@@ -1,7 +1,10 @@
 """Natural units of a robot, from its model alone: weight, reach and gravity.
 
-Errors, grades, controllers and simulations use them; a solution file states them as ``units``. The scales of
-an NLP are different, see `trajopt.robot.Units`.
+Errors, grades, controllers and simulations use them; a solution file states them as ``units``. An NLP has
+other scales (`trajopt.robot.Units`): the same weight and gravity, but for legs the height l of the base over
+its contacts, to which the lengths of gaits and the times of falls are proportional. That height depends on
+the problem's contacts and reference, and a motion has to be judged alike whatever problem it came from. The
+reach is 1 to 2.7 times as long (UR5 1, G1 1.2, Talos 1.9, Go2 2.3), so no factor converts one to the other.
 """
 
 from __future__ import annotations

@@ -10,13 +10,13 @@ exerts a wrench at the holding contact: by Newton and Euler, in the axes of the 
 the torques of the robot with its load.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pinocchio as pin
 
-from trajopt.arguments import NonNegative, checked
-from trajopt.errors import InputError, finite_array
+from trajopt.arguments import Array3, Array33, NonNegative, checked
+from trajopt.errors import InputError
 from trajopt.robot.robot import Robot
 
 
@@ -29,7 +29,7 @@ class Payload:
         contact: name of the contact that holds it; its frame gives the axes.
         mass: mass, kg.
         centre: centre of mass (3,), m, in the contact's frame; default its origin.
-        inertia: inertia about the centre of mass (3, 3), kg m^2, in the frame's axes; None: a point mass.
+        inertia: inertia about the centre of mass (3, 3), kg m^2, in the frame's axes; default a point mass.
 
     Raises:
         InputError: for a mass or an inertia that no rigid body has.
@@ -37,16 +37,12 @@ class Payload:
 
     contact: str
     mass: NonNegative
-    centre: np.ndarray | None = None
-    inertia: np.ndarray | None = None
+    centre: Array3 = field(default_factory=lambda: np.zeros(3))
+    inertia: Array33 = field(default_factory=lambda: np.zeros((3, 3)))
 
     def __post_init__(self) -> None:
-        for name, shape in (("centre", (3,)), ("inertia", (3, 3))):
-            given = np.zeros(shape) if getattr(self, name) is None else getattr(self, name)
-            object.__setattr__(self, name, finite_array(f"{name} of a payload", given, shape))
-        turning = np.array(self.inertia)
-        moments = np.linalg.eigvalsh(turning)
-        if not np.allclose(turning, turning.T) or moments[0] < 0:
+        moments = np.linalg.eigvalsh(self.inertia)
+        if not np.allclose(self.inertia, self.inertia.T) or moments[0] < 0:
             raise InputError(
                 "inertia of a payload is not that of a rigid body", "allowed: symmetric, eigenvalues >= 0"
             )
@@ -58,7 +54,7 @@ class Payload:
     @property
     def spatial(self) -> pin.Inertia:
         """Spatial inertia in the axes of the contact's frame, about its origin."""
-        return pin.Inertia(float(self.mass), np.array(self.centre), np.array(self.inertia))
+        return pin.Inertia(float(self.mass), self.centre, self.inertia)
 
 
 def loaded_model(model: pin.Model, frame: str, body: pin.Inertia) -> pin.Model:

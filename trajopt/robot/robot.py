@@ -13,7 +13,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from trajopt import _numeric
-from trajopt.arguments import checked
+from trajopt.arguments import Positive, checked
 from trajopt.dynamics.base_joint import Base, base_of, position_limits
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
 from trajopt.dynamics.virtual_base import DEFAULT_ORDER, from_free_flyer, virtual_model
@@ -80,7 +80,7 @@ class Robot:
     contacts: tuple[Contact, ...] = ()
     visual: VisualSource | None = None
     passive: tuple[str, ...] = ()
-    given_length: float | None = None
+    given_length: Positive | None = None
     drives: tuple[Drive | None, ...] | None = None
     thrusters: tuple[Thruster, ...] = ()
     joint_forces: tuple[JointForce, ...] = ()
@@ -117,7 +117,7 @@ class Robot:
         for force in self.joint_forces:
             force.entries(self.model)
         require_inertias(self.name, self.model)
-        require_limits(self.name, self.model, self.given_length, position, others)
+        require_limits(self.name, self.model, position, others)
         require_reference(self.name, self.model, self.reference, position)
         if self.drives is not None:
             require_drives(self.name, self.model, self.rows_of_inputs, self.drives)

@@ -8,6 +8,7 @@ import math
 import numpy as np
 
 from trajopt.dynamics.model_quantities import gravity_of
+from trajopt.robot.natural_units import turning_rows
 from trajopt.robot.robot import Robot
 
 # A limit this many scaled units away cannot bind in a motion that the robot's own weight drives:
@@ -20,8 +21,8 @@ UNREACHABLE = 30.0
 class Units:
     """Scales from the weight m g, the length l and the gravity g of ``robot``, or of ``part_of`` if given.
 
-    l is `Robot.length`, the height at which legs carry the base: motions on legs scale with it. Motions are
-    judged in `trajopt.robot.natural_units` instead, which do not depend on how a problem was posed.
+    l is `Robot.length`, which for legs is the height at which they carry the base; `NaturalUnits` says why
+    motions are judged over the reach instead.
 
     ``position``, ``velocity``, ``acceleration`` are arrays (nv,) over the local coordinates (m or rad and
     their derivatives), ``generalized_force`` (nv,) their forces (N or N m); ``force`` in N, ``torque`` in
@@ -31,7 +32,7 @@ class Units:
     def __init__(self, robot: Robot, part_of: Robot | None = None) -> None:
         whole = part_of or robot
         gravity, length = gravity_of(whole.model), whole.length
-        linear = _is_linear(robot)
+        linear = ~turning_rows(robot.model)
         self.length, self.gravity = length, gravity
         self.time = math.sqrt(length / gravity)
         self.force = whole.weight
@@ -52,18 +53,3 @@ class Units:
         for name in ("force", "torque", "wrench", "generalized_force"):
             setattr(units, name, getattr(self, name) * self.time)
         return units
-
-
-def _is_linear(robot: Robot) -> np.ndarray:
-    """Mask (nv,) of the entries of v that are linear velocities."""
-    linear = np.zeros(robot.nv, dtype=bool)
-    for joint in list(robot.model.joints)[1:]:
-        kind = joint.shortname().removeprefix("JointModel")
-        start = joint.idx_v
-        if kind == "FreeFlyer" or kind == "Translation":
-            linear[start : start + 3] = True
-        elif kind == "Planar":
-            linear[start : start + 2] = True
-        elif kind.startswith("P"):
-            linear[start] = True
-    return linear

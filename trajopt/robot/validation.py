@@ -7,7 +7,7 @@ import pinocchio as pin
 
 from trajopt.dynamics.model_quantities import joints_of_rows, mass_of
 from trajopt.dynamics.virtual_base import LEAST_MARGIN, gimbal_margin
-from trajopt.errors import InputError, require_positive
+from trajopt.errors import InputError
 from trajopt.robot.actuators.actuation import Thruster
 from trajopt.robot.contact import Contact, require_frame
 
@@ -74,16 +74,13 @@ def require_inertias(robot: str, model: pin.Model) -> None:
 def require_limits(
     robot: str,
     model: pin.Model,
-    length: float | None,
     position: tuple[np.ndarray, np.ndarray],
     others: Mapping[str, tuple[Sequence[int] | np.ndarray, np.ndarray | None]],
 ) -> None:
-    """Raise `InputError` for limits that are empty, negative or NaN, or a length that is not positive.
+    """Raise `InputError` for limits that are empty, negative or NaN.
 
     ``others`` holds further limits by name, each as the rows of v and the limits of these rows.
     """
-    if length is not None:
-        require_positive(f"given_length of robot '{robot}'", length, "m")
     joints = list(model.joints)[1:]
     entries = [joint for joint in joints for _ in range(joint.nq)]
     for joint, lower, upper in zip(entries, *position, strict=True):

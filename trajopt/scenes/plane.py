@@ -54,7 +54,7 @@ ALONG_PLANE = (ContactLanding, FrameHeight, SwingClearance)
 TASK = 1e-3
 # Terms with dynamics may differ from their mirror images by this multiple of the robot's asymmetry: an error
 # in one inertia enters several rows.
-PASSED_ON = 20.0
+ASYMMETRY_GAIN = 20.0
 # Number of random states, of order one in scaled units, at which rows and costs are compared.
 STATES = 2
 # Largest deviation of the base's heading from the world's x axis, rad.
@@ -84,7 +84,7 @@ def halve_robot(problem: Problem, keep: Sequence[str]) -> tuple[Reduction, Decis
     if turned:
         what += f", and {', '.join(turned)} stay in the plane"
     kind = EXACT if exact else CHOICE
-    return reduction, Decision(kind=kind, what=what, why=_why(mirror, asymmetry, limits))
+    return reduction, Decision(kind=kind, what=what, why=_reason(mirror, asymmetry, limits))
 
 
 def _mirror(problem: Problem) -> Mirror:
@@ -98,7 +98,7 @@ def _mirror(problem: Problem) -> Mirror:
     return mirror
 
 
-def _why(mirror: Mirror, task_asymmetry: Asymmetry, limits: list[str]) -> str:
+def _reason(mirror: Mirror, task_asymmetry: Asymmetry, limits: list[str]) -> str:
     asymmetry = f"robot within {mirror.asymmetry:.1e} of its mirror image"
     if mirror.asymmetry >= ROUNDING:
         asymmetry += f" ({mirror.worst})"
@@ -114,7 +114,7 @@ def in_plane(problem: Problem, keep: Sequence[str]) -> tuple[tuple[str, ...], tu
     abducted leg moves in a different plane. Limbs whose leaving joints are in ``keep``, or that the task
     moves across the plane, stay as they are.
     """
-    model, wanted = problem.robot.model, {*keep, *_across(problem)}
+    model, wanted = problem.robot.model, {*keep, *_joints_across(problem)}
     leaving = leaving_plane(model, 1, problem.initial_q)
     to_lock: list[str] = []
     stay: list[str] = []
@@ -126,7 +126,7 @@ def in_plane(problem: Problem, keep: Sequence[str]) -> tuple[tuple[str, ...], tu
     return tuple(to_lock), tuple(stay)
 
 
-def _across(problem: Problem) -> set[str]:
+def _joints_across(problem: Problem) -> set[str]:
     robot, model = problem.robot, problem.robot.model
     data = model.createData()
     pin.framesForwardKinematics(model, data, problem.initial_q)
@@ -243,7 +243,7 @@ def _terms(problem: Problem, group: list[TermInstance], mirror: Mirror, images: 
         here, image = (_comparable(filled, values) for values in sides)
         worst = max(worst, float((np.abs(here - image) / (1.0 + np.abs(here))).max()))
     uses_dynamics = any(instance.uses_dynamics for instance in filled)
-    if not worst <= TASK + (PASSED_ON * mirror.asymmetry if uses_dynamics else 0.0):
+    if not worst <= TASK + (ASYMMETRY_GAIN * mirror.asymmetry if uses_dynamics else 0.0):
         raise _refuse(where, worst)
     return Asymmetry(0.0 if uses_dynamics else worst, where)
 

@@ -33,7 +33,7 @@ from trajopt.terms.terminal import TerminalRest, TerminalState, free_directions,
 
 # Number of random points at which rows are compared, and the largest difference of equal rows, scaled units.
 SAMPLES = 3
-SAME = 1e-9
+ROUNDING = 1e-9
 
 
 class WholeView(Context):
@@ -261,9 +261,12 @@ def binding_rows(rows: Rows, context: Context) -> Rows:
     chosen: list[int] = []
     for i in range(len(lower)):
         row = np.array([sample[i] for sample in sampled])
-        fixed = np.abs(row[:, 1:]).max(initial=0.0) < SAME and lower[i] - SAME <= row[0, 0] <= upper[i] + SAME
+        fixed = (
+            np.abs(row[:, 1:]).max(initial=0.0) < ROUNDING
+            and lower[i] - ROUNDING <= row[0, 0] <= upper[i] + ROUNDING
+        )
         repeated = any(
-            np.abs(row - [sample[j] for sample in sampled]).max() < SAME
+            np.abs(row - [sample[j] for sample in sampled]).max() < ROUNDING
             and (lower[i], upper[i]) == (lower[j], upper[j])
             for j in chosen
         )

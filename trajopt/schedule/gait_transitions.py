@@ -8,9 +8,9 @@ import math
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
-from trajopt.arguments import checked
+from trajopt.arguments import Positive, PositiveCount, checked
 from trajopt.errors import InputError
-from trajopt.schedule.gaits import SHORTEST, SIMULTANEOUS, Gait, SupportPhase, phases_of
+from trajopt.schedule.gaits import LEAST_SHARE, SIMULTANEOUS, Gait, SupportPhase, phases_of
 from trajopt.schedule.schedule import Phase
 
 
@@ -28,9 +28,9 @@ class _Stances:
 @checked
 def transition(
     gait: Gait,
-    period: float,
+    period: Positive,
     *,
-    cycles: int,
+    cycles: PositiveCount,
     stand: float | None = None,
     rest: float | None = None,
     start: str | None = None,
@@ -52,13 +52,11 @@ def transition(
     Raises:
         InputError: for numbers out of range, or feet that are never lifted.
     """
-    if cycles != int(cycles) or cycles < 1:
-        raise InputError(f"{cycles} cycles of gait '{gait.name}'", "allowed: a whole number, 1 or more")
     for what, time in (("stand", stand), ("rest", rest)):
-        if time is not None and not (math.isfinite(time) and time >= SHORTEST * period):
-            raise InputError(f"{what} is {time:g} s", f"allowed: at least {SHORTEST * period:g} s")
+        if time is not None and not (math.isfinite(time) and time >= LEAST_SHARE * period):
+            raise InputError(f"{what} is {time:g} s", f"allowed: at least {LEAST_SHARE * period:g} s")
     origin = gait.offsets[gait.first(start)]
-    stances = [_stances(gait, foot, origin, int(cycles)) for foot in gait.feet]
+    stances = [_stances(gait, foot, origin, cycles) for foot in gait.feet]
     begin, end = 0.0, float(cycles)
     if stand is not None:
         stances, begin = _from_standing(stances)

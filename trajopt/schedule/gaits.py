@@ -20,9 +20,9 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from types import MappingProxyType
 
-from trajopt.arguments import checked
+from trajopt.arguments import Positive, PositiveCount, checked
 from trajopt.dynamics.model_quantities import gravity_of
-from trajopt.errors import InputError, not_among, require_positive
+from trajopt.errors import InputError, not_among
 from trajopt.robot.legs import biped_legs, feet_in_base, quadruped_legs
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Phase
@@ -31,7 +31,7 @@ from trajopt.schedule.schedule import Phase
 SIMULTANEOUS = 1e-9
 # A support shorter than this fraction of the period is rejected: either two events are meant to be one, or a
 # duty factor is wrong. For a period of 0.1 s it is 1 ms, less than the step of any grid.
-SHORTEST = 0.01
+LEAST_SHARE = 0.01
 # Strides of symmetrical gaits, see `stride_period`.
 STRIDE, GROWTH, SLOWEST = 2.4, 0.34, 0.06
 # Names of supports by the number of feet on the ground.
@@ -78,10 +78,10 @@ class Gait:
         duty = {name: float(given[name]) for name in self.offsets}
         offsets = {name: float(value) % 1.0 for name, value in self.offsets.items()}
         for name, value in duty.items():
-            if not (SHORTEST <= value <= 1 - SHORTEST or value == 1):
+            if not (LEAST_SHARE <= value <= 1 - LEAST_SHARE or value == 1):
                 raise InputError(
                     f"duty factor of '{name}' is {value:g}",
-                    f"allowed: {SHORTEST:g} to {1 - SHORTEST:g}, or 1 for a foot that is never lifted",
+                    f"allowed: {LEAST_SHARE:g} to {1 - LEAST_SHARE:g}, or 1 for a foot that is never lifted",
                 )
         if all(value == 1 for value in duty.values()):
             raise InputError(f"gait '{self.name}' lifts no foot", "allowed: a duty factor below 1")
@@ -138,10 +138,10 @@ class Gait:
         for now, then in zip(events, [*events[1:], 1.0], strict=True):
             middle = begin + (now + then) / 2
             feet = tuple(foot for foot in self.feet if self.stands(foot, middle))
-            if then - now < SHORTEST:
+            if then - now < LEAST_SHARE:
                 raise InputError(
                     f"gait '{self.name}' has a support of {then - now:.2g} of its period",
-                    f"allowed: at least {SHORTEST:g}",
+                    f"allowed: at least {LEAST_SHARE:g}",
                 )
             supports.append(SupportPhase(now, then - now, feet))
         return tuple(supports)
@@ -177,9 +177,9 @@ class Gait:
     @checked
     def phases(
         self,
-        period: float,
+        period: Positive,
         *,
-        cycles: int = 1,
+        cycles: PositiveCount = 1,
         start: str | None = None,
         duration_bounds: tuple[float, float] | None = None,
     ) -> tuple[Phase, ...]:
@@ -196,14 +196,12 @@ class Gait:
         Raises:
             InputError: for numbers out of range, or a foot that is never lifted.
         """
-        if cycles != int(cycles) or cycles < 1:
-            raise InputError(f"{cycles} cycles of gait '{self.name}'", "allowed: a whole number, 1 or more")
-        return phases_of(self.supports(start) * int(cycles), period, duration_bounds)
+        return phases_of(self.supports(start) * cycles, period, duration_bounds)
 
     @checked
     def half_cycle(
         self,
-        period: float,
+        period: Positive,
         mirror: Mapping[str, str],
         *,
         start: str | None = None,
@@ -234,9 +232,8 @@ def phases_of(
 ) -> tuple[Phase, ...]:
     """Phases of consecutive supports; their durations are free within ``bounds``, fractions of the nominal.
 
-    Raises `InputError` for a ``period`` in s that is not positive, or bounds that do not enclose 1.
+    ``period`` is in s. Raises `InputError` for bounds that do not enclose 1.
     """
-    require_positive("period of a gait", period, "s")
     lower, upper = (1.0, 1.0) if bounds is None else bounds
     if not 0 < lower <= 1 <= upper < math.inf:
         raise InputError(

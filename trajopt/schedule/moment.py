@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from trajopt.arguments import Fraction, checked
+from trajopt.arguments import Array3, Array33, Fraction, checked
 from trajopt.errors import InputError, shown
 from trajopt.kinds import ArrayShape
 
@@ -78,14 +78,6 @@ def end_of(phase: str) -> Moment:
     return Moment(phase, 1.0)
 
 
-def as_moment(what: str, value: object) -> Moment:
-    """``value`` as a moment. Raises `InputError`, beginning with ``what``, for anything else."""
-    if isinstance(value, Moment):
-        return value
-    said = f"start_of({value!r}), middle_of({value!r})" if isinstance(value, str) else "start_of('flight')"
-    raise InputError(f"{what} is {shown(value)}", f"allowed: a moment, for example {said}")
-
-
 @checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Target:
@@ -103,8 +95,8 @@ class Target:
     """
 
     frame: str | None = None
-    position: Annotated[np.ndarray, ArrayShape((3,))] | None = None
-    rotation: Annotated[np.ndarray, ArrayShape((3, 3))] | None = None
+    position: Array3 | None = None
+    rotation: Array33 | None = None
     q: Annotated[np.ndarray, ArrayShape((None,))] | None = None
     at: Moment = END
 

@@ -17,7 +17,7 @@ from itertools import groupby, pairwise
 from trajopt.arguments import checked
 from trajopt.errors import InputError
 from trajopt.robot.edges import EDGES, Edge, edge_contacts
-from trajopt.schedule.gaits import SHORTEST, SIMULTANEOUS
+from trajopt.schedule.gaits import LEAST_SHARE, SIMULTANEOUS
 from trajopt.schedule.schedule import Phase, Schedule
 
 # Repetitions of a periodic schedule before and after it, so that stances across its ends are seen whole.
@@ -131,7 +131,10 @@ def _cuts(phase: str, begin: float, end: float, times: set[float]) -> list[float
         if cuts[-1] + rounding < time < end - rounding:
             cuts.append(time)
     cuts.append(end)
-    shortest, allowed = min(after - before for before, after in pairwise(cuts)), SHORTEST * (end - begin)
+    shortest, allowed = (
+        min(after - before for before, after in pairwise(cuts)),
+        LEAST_SHARE * (end - begin),
+    )
     if shortest < allowed:
         raise InputError(
             f"soles that roll cut {shortest:.2g} s off phase '{phase}'",

@@ -8,8 +8,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from trajopt.arguments import Positive, checked
-from trajopt.errors import InputError, finite_array
+from trajopt.arguments import Array3, Positive, checked
+from trajopt.errors import InputError
 from trajopt.robot.contact import Contact
 from trajopt.terrain.patch import Patch
 from trajopt.terrain.surface import SAME_PLANE, Surface
@@ -47,7 +47,7 @@ class Phase:
     name: str
     duration: Positive
     contacts: tuple[str, ...] = ()
-    footholds: Mapping[str, np.ndarray] = field(default_factory=dict)
+    footholds: Mapping[str, Array3] = field(default_factory=dict)
     duration_bounds: tuple[float, float] | None = None
     impact: bool = False
     surfaces: Mapping[str, Surface] = field(default_factory=dict)
@@ -61,37 +61,30 @@ class Phase:
                     f"duration_bounds of phase '{self.name}' are {self.duration_bounds} s",
                     f"allowed: (lower, upper), finite, 0 < lower <= duration = {self.duration:g} <= upper",
                 )
-            object.__setattr__(self, "duration_bounds", (lower, upper))
         if len(set(self.contacts)) != len(self.contacts):
             raise InputError(
                 f"phase '{self.name}' names a contact twice: {', '.join(self.contacts)}",
                 "allowed: each contact once",
             )
-        self._require_active("foothold", self.footholds)
-        self._require_active("surface", self.surfaces)
-        self._require_active("patch", self.patches)
+        for what, given in (
+            ("foothold", self.footholds),
+            ("surface", self.surfaces),
+            ("patch", self.patches),
+        ):
+            unknown = set(given) - set(self.contacts)
+            if unknown:
+                raise InputError(
+                    f"phase '{self.name}' has a {what} for {', '.join(sorted(unknown))}",
+                    "allowed: contacts that are active in the phase",
+                )
         for name in self.surfaces.keys() & self.patches.keys():
             raise InputError(
                 f"'{name}' has a surface and a patch in phase '{self.name}'", "allowed: one of them"
             )
-        points = {
-            name: finite_array(f"foothold of '{name}' in phase '{self.name}'", point, unit="m")
-            for name, point in self.footholds.items()
-        }
-        for name, point in points.items():
+        for name, point in self.footholds.items():
             self._require_on_ground(name, point)
-        object.__setattr__(self, "contacts", tuple(self.contacts))
-        object.__setattr__(self, "footholds", MappingProxyType(points))
-        object.__setattr__(self, "surfaces", MappingProxyType(dict(self.surfaces)))
-        object.__setattr__(self, "patches", MappingProxyType(dict(self.patches)))
-
-    def _require_active(self, what: str, given: Mapping[str, object]) -> None:
-        unknown = set(given) - set(self.contacts)
-        if unknown:
-            raise InputError(
-                f"phase '{self.name}' has a {what} for {', '.join(sorted(unknown))}",
-                "allowed: contacts that are active in the phase",
-            )
+        for label in ("footholds", "surfaces", "patches"):
+            object.__setattr__(self, label, MappingProxyType(dict(getattr(self, label))))
 
     def _require_on_ground(self, name: str, foothold: np.ndarray) -> None:
         surface, patch = self.surfaces.get(name), self.patches.get(name)
@@ -101,7 +94,6 @@ class Phase:
                 " surface",
                 f"allowed: within {SAME_PLANE:g} m",
             )
-
         if patch is None:
             return
         off, inside = abs(float(patch.surface.distance(foothold))), float(patch.inside(foothold))
@@ -148,7 +140,6 @@ class Schedule:
     phases: tuple[Phase, ...]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "phases", tuple(self.phases))
         if not self.phases:
             raise InputError("the schedule has no phase", "allowed: at least one phase")
         for index, phase in enumerate(self.phases):

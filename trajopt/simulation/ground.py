@@ -16,7 +16,8 @@ from trajopt.robot.mujoco_package import mujoco_package
 from trajopt.simulation.bodies import Bodies, add_geom, body_name, mujoco_quaternion
 from trajopt.simulation.settings import SimulationSettings
 from trajopt.simulation.site import BALL, Board, Site
-from trajopt.terrain.patch import Patch, cut_polygon
+from trajopt.terrain.bodies import extruded
+from trajopt.terrain.patch import Patch
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.smooth import SmoothTerrain
 from trajopt.terrain.surface import Surface, frame_of_normal
@@ -176,18 +177,13 @@ def _plane(spec: Any, name: str, surface: Surface, lift: float) -> str:
 
 def _prism(spec: Any, name: str, face: Patch, lift: float, place: Surroundings) -> str:
     """Add a solid below the part of a face around the motion; returns its name, empty if there is none."""
-    corners = face.vertices
-    for axis in (0, 1):
-        inward = np.eye(3)[axis]
-        corners = cut_polygon(corners, inward, float(place.low[axis]))
-        corners = cut_polygon(corners, -inward, -float(place.high[axis]))
+    corners = face.within(place.low, place.high)
     if len(corners) < 3:
         return ""
     top = corners + lift * face.surface.normal
-    under = top.copy()
-    under[:, 2] = min(float(top[:, 2].min()), float(place.low[2])) - DEPTH * place.reach
-    middle = np.concatenate([top, under]).mean(axis=0)
-    mesh = spec.add_mesh(name=name, uservert=(np.concatenate([top, under]) - middle).ravel())
+    solid = extruded(top, min(float(top[:, 2].min()), float(place.low[2])) - DEPTH * place.reach)
+    middle = solid.mean(axis=0)
+    mesh = spec.add_mesh(name=name, uservert=(solid - middle).ravel())
     mesh.inertia = mujoco_package().mjtMeshInertia.mjMESH_INERTIA_CONVEX
     return add_geom(spec.worldbody, name, "mesh", meshname=name, pos=middle)
 

@@ -7,9 +7,11 @@ from typing import Any, Literal
 import numpy as np
 import pinocchio as pin
 
+from trajopt.arguments import Array3, Array33, NonNegative, checked
 from trajopt.collision.description import RobotShapes
 from trajopt.collision.near import CollisionScene
 from trajopt.collision.shapes import LinkShape, Obstacle
+from trajopt.errors import InputError
 from trajopt.robot.actuators.actuation import Thruster
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.actuators.joint_force import JointForce
@@ -27,6 +29,7 @@ ContactKind = Literal["point", "surface"]
 GroundShape = Surface | PiecewiseTerrain | SmoothTerrain
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class PlannedContact:
     """A contact of the robot for which the motion was planned.
@@ -44,10 +47,16 @@ class PlannedContact:
     name: str
     frame: str
     kind: ContactKind
-    friction: float
+    friction: NonNegative
     half_size: tuple[float, float] | None = None
-    radius: float = 0.0
+    radius: NonNegative = 0.0
     rolling: bool = False
+
+    def __post_init__(self) -> None:
+        if self.radius and self.is_sole:
+            raise InputError(f"sole '{self.name}' has a radius", "allowed: 0")
+        if self.rolling and not self.radius:
+            raise InputError(f"contact '{self.name}' is rolling without a radius", "allowed: a radius")
 
     @property
     def is_sole(self) -> bool:
@@ -55,6 +64,7 @@ class PlannedContact:
         return self.kind == "surface"
 
 
+@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CarriedBody:
     """A carried body: mass kg, centre (3,) m and inertia (3, 3) kg m^2 in a contact frame's axes.
@@ -64,14 +74,14 @@ class CarriedBody:
 
     frame: str
     mass: float
-    centre: np.ndarray
-    inertia: np.ndarray
+    centre: Array3
+    inertia: Array33
     phases: tuple[int, ...]
 
     @property
     def spatial(self) -> pin.Inertia:
         """Spatial inertia about the frame's origin, in its axes."""
-        return pin.Inertia(float(self.mass), np.array(self.centre), np.array(self.inertia))
+        return pin.Inertia(float(self.mass), self.centre, self.inertia)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -20,7 +20,7 @@ from trajopt.solution.arrays import OTHERS, SAMPLED, read_only, runs
 from trajopt.solution.consistency import inconsistency
 from trajopt.solution.description import PlanDescription
 from trajopt.solution.meta import description_of, meta_of, require_keys, statistics_of
-from trajopt.solution.model_arrays import LARGEST, MODEL_KINDS, model_from_arrays, model_to_arrays
+from trajopt.solution.model_arrays import LARGEST_VALUE, MODEL_KINDS, model_from_arrays, model_to_arrays
 from trajopt.solution.model_text import model_from_untrusted_text
 from trajopt.solution.output import replacing
 from trajopt.solution.statistics import SolveStatistics
@@ -28,7 +28,7 @@ from trajopt.solution.statistics import SolveStatistics
 FORMAT = "trajopt-solution"
 VERSION = 1
 # Largest number of values in ``meta``, and their largest nesting depth.
-MOST_VALUES, DEEPEST = 2_000_000, 50
+MOST_VALUES, MOST_DEPTH = 2_000_000, 50
 # Relative difference up to which units of a model are equal.
 SAME_UNITS = 1e-6
 LARGEST_FLOAT = sys.float_info.max
@@ -39,7 +39,7 @@ BOUNDED = (
 )
 # Number kinds of the members of a file.
 _KINDS = {float: "fiu", int: "iu", bool: "b"}
-KNOWN = {
+ENTRY_KINDS = {
     "meta": "U",
     "model": "U",
     **{name: _KINDS[kind] for name, kind in {**SAMPLED, **OTHERS}.items()},
@@ -106,7 +106,7 @@ def read_solution_file(path: str | Path) -> FileContent:
 
 def parse_solution(content: bytes, source: Path) -> FileContent:
     """Read the content of a file, as `read_solution_file` does; messages call it ``source``."""
-    arrays = read_members(content, source, KNOWN)
+    arrays = read_members(content, source, ENTRY_KINDS)
     meta = _meta(source, arrays)
     missing = [name for name in (*SAMPLED, "interval_t", "model") if name not in arrays]
     if missing:
@@ -196,9 +196,10 @@ def _require_bounded(source: Path, meta: dict[str, Any]) -> None:
     level, counted, depth = list(meta.items()), 0, 0
     while level:
         counted, depth = counted + len(level), depth + 1
-        if counted > MOST_VALUES or depth > DEEPEST:
+        if counted > MOST_VALUES or depth > MOST_DEPTH:
             raise SolutionFileError(
-                f"{source}: 'meta' has too many values", f"up to {MOST_VALUES}, {DEEPEST} within each other"
+                f"{source}: 'meta' has too many values",
+                f"up to {MOST_VALUES}, {MOST_DEPTH} within each other",
             )
         following: list[tuple[str, Any]] = []
         for key, value in level:
@@ -206,7 +207,7 @@ def _require_bounded(source: Path, meta: dict[str, Any]) -> None:
                 entries = value.values() if isinstance(value, dict) else value
                 following += [(key, entry) for entry in entries]
             elif isinstance(value, float | int):
-                largest = LARGEST if key in BOUNDED else LARGEST_FLOAT
+                largest = LARGEST_VALUE if key in BOUNDED else LARGEST_FLOAT
                 if not abs(value) <= largest and (key in BOUNDED or isinstance(value, int)):
                     raise SolutionFileError(
                         f"{source}: {key} of meta holds {value!s:.20}",

@@ -25,7 +25,7 @@ _C2, _C3 = _cosine_series(2), _cosine_series(3)
 _C2_RATE, _C3_RATE = _C2.deriv(), _C3.deriv()
 _CYCLES = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
 # Below this value, the sine of half an angle equals the half angle up to rounding.
-SMALL = 1e-8
+SMALL_ANGLE = 1e-8
 
 
 def local_state(model: pin.Model, start: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> _State:
@@ -133,7 +133,9 @@ def _exponential(start: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
     apart = np.where(apart[..., 3:] < 0, -apart, apart)
     sine = np.linalg.norm(apart[..., :3], axis=-1, keepdims=True)
     half = np.arctan2(sine, apart[..., 3:])
-    return np.asarray(2 * apart[..., :3] * np.where(sine > SMALL, half / np.maximum(sine, SMALL), 1.0))
+    return np.asarray(
+        2 * apart[..., :3] * np.where(sine > SMALL_ANGLE, half / np.maximum(sine, SMALL_ANGLE), 1.0)
+    )
 
 
 def _turned_by(start: np.ndarray, theta: np.ndarray) -> np.ndarray:

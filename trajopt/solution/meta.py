@@ -7,9 +7,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from trajopt.arguments import kinds_of_fields
 from trajopt.collision.description import RobotShapes
 from trajopt.collision.shapes import LinkShape, obstacle_from_description
 from trajopt.errors import InputError, SolutionFileError, is_number, shown
+from trajopt.kinds import RefusedError
 from trajopt.robot.actuators.actuation import Thruster
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.actuators.joint_force import JointForce
@@ -47,13 +49,18 @@ DESCRIBED = (
     *("terrain", "surfaces", "patches", "goals", "payloads", "periodicity", "drives", "bodies", "collision"),
     *("visual", "phase_names"),
 )
-DERIVED = ("format", "version", "durations", "intervals", "units", "simulated")
-# Statistics that are strings, flags or counts.
-TEXTS = ("transcription", "solver", "status", "solver_status", "advice", "hessian", "worst_figure")
-FLAGS = ("success", "converged", "warm_start", "certified_infeasible")
-COUNTS = ("iterations", "variables", "constraints", "functions_compiled", "seed")
+DERIVED_ENTRIES = ("format", "version", "durations", "intervals", "units", "simulated")
 # Statistics that are never null.
-STATED = ("transcription", "solver", "status", "success", "tolerance", "wall_time_s")
+REQUIRED_STATISTICS = ("transcription", "solver", "status", "success", "tolerance", "wall_time_s")
+# Lists with an entry for each contact, by the field of `PlannedContact`.
+CONTACT_KEYS = {
+    "name": "contact_names",
+    "kind": "contact_kinds",
+    "friction": "friction",
+    "half_size": "contact_sizes",
+    "radius": "contact_radius",
+    "rolling": "contact_rolling",
+}
 PERIODIC = ("index", "sign", "origin", "translation", "velocity", "turn", "mirror")
 
 
@@ -94,36 +101,22 @@ def description_of(meta: Mapping[str, Any], n_phases: int) -> PlanDescription:
 
 def statistics_of(meta: Mapping[str, Any]) -> SolveStatistics:
     """Read how a solution was found; raises `SolutionFileError` for an invalid entry."""
-    typed = {field.name for field in fields(SolveStatistics)} - {"more"}
+    kinds = kinds_of_fields(SolveStatistics)
+    readers: dict[str, Callable[[Any], object]] = {"mesh": _mesh, "graded": _graded}
+    typed = set(kinds) - {"more"}
     values: _Json = {}
-    for name in typed & set(meta):
-        value = meta[name]
-        if value is None:
-            continue
-        if name in TEXTS:
-            _require(isinstance(value, str), name, "a text")
-        elif name in FLAGS:
-            _require(isinstance(value, bool), name, "true or false")
-        elif name in COUNTS:
-            _require(type(value) is int and value >= 0, name, "a number of 0 or more")
-        elif name in ("versions", "redundant_contact_rows", "simulation"):
-            _require(isinstance(value, dict), name, "an object")
-        elif name in ("failures", "row_names"):
-            _require(_is_list(value, str), name, "a list of texts")
-            value = tuple(value)
-        elif name == "worst_blocks":
-            _require(_is_list(value, dict), name, "a list of objects")
-            value = tuple(value)
-        elif name == "mesh":
-            value = _entry(name, _mesh, value)
-        elif name == "graded":
-            value = _entry(name, _graded, value)
-        else:
-            _require(is_number(value), name, "a number")
-        values[name] = value
-    for name in STATED:
+    for name in sorted(typed & set(meta)):
+        if name in readers:
+            values[name] = _optional(meta, name, readers[name])
+        elif meta[name] is not None:
+            try:
+                values[name] = kinds[name](meta[name], name)
+            except RefusedError as wrong:
+                what = f"{wrong.place} of meta is {shown(wrong.value)}"
+                raise SolutionFileError(what, wrong.allowed) from None
+    for name in REQUIRED_STATISTICS:
         _require(name in values, name, "stated")
-    known = typed | {*DESCRIBED, *DERIVED}
+    known = typed | {*DESCRIBED, *DERIVED_ENTRIES}
     return SolveStatistics(
         **{"objective": None, "converged": meta["success"], "iterations": 0, **values},
         more={name: value for name, value in meta.items() if name not in known},
@@ -221,52 +214,18 @@ def jsonable(value: Any) -> Any:
 
 
 def _contacts(meta: Mapping[str, Any]) -> Iterator[PlannedContact]:
-    frames, kinds, friction = (meta[key] for key in ("contact_frames", "contact_kinds", "friction"))
-    if not all(isinstance(entry, list) for entry in (frames, kinds, friction)):
-        raise SolutionFileError("contact_frames, contact_kinds and friction of meta must be lists")
-    n = len(frames)
-    if not n == len(kinds) == len(friction):
-        raise SolutionFileError(
-            f"meta has {n} contact_frames, {len(kinds)} contact_kinds, {len(friction)} friction"
+    frames = meta["contact_frames"]
+    _require(isinstance(frames, list), "contact_frames", "a list")
+    columns = {field: meta.get(key) for field, key in CONTACT_KEYS.items()}
+    given = {field: column for field, column in columns.items() if column or field in ("kind", "friction")}
+    for field, column in given.items():
+        fits = isinstance(column, list) and len(column) == len(frames)
+        _require(
+            fits, CONTACT_KEYS[field], f"a list with an entry for each of the {len(frames)} contact_frames"
         )
-    names = meta.get("contact_names") or frames
-    sizes = meta.get("contact_sizes") or [None] * n
-    radii = meta.get("contact_radius") or [0.0] * n
-    rolling = meta.get("contact_rolling") or [False] * n
-    if not (_is_list(names, str) and len(names) == n):
-        raise SolutionFileError(f"contact_names {names} are not a name for each of the {n} contact_frames")
-    if not all(kind in ("point", "surface") for kind in kinds):
-        raise SolutionFileError(f"contact_kinds {kinds} are not all 'point' or 'surface'")
-    if not all(is_number(mu) and mu >= 0 for mu in friction):
-        raise SolutionFileError(f"friction {friction} is not a list of numbers >= 0")
-    if not (isinstance(sizes, list) and len(sizes) == n and all(map(_is_size, sizes))):
-        raise SolutionFileError(
-            "contact_sizes of meta is not a list of null or [half_length, half_width] for each contact"
-        )
-    if not (isinstance(radii, list) and len(radii) == n and all(is_number(r) and r >= 0 for r in radii)):
-        raise SolutionFileError("contact_radius of meta is not a list of a number >= 0 for each contact")
-    if any(radius and kind == "surface" for radius, kind in zip(radii, kinds, strict=True)):
-        raise SolutionFileError("contact_radius of meta is not 0 for a sole")
-    if not (_is_list(rolling, bool) and len(rolling) == n):
-        raise SolutionFileError("contact_rolling of meta is not a list of true or false for each contact")
-    if any(rolls and not radius for rolls, radius in zip(rolling, radii, strict=True)):
-        raise SolutionFileError("contact_rolling of meta is true for a contact without a radius")
-    columns = zip(names, frames, kinds, friction, sizes, radii, rolling, strict=True)
-    for name, frame, kind, mu, size, radius, rolls in columns:
-        half_size = None if size is None else (float(size[0]), float(size[1]))
-        yield PlannedContact(
-            name=name,
-            frame=frame,
-            kind=kind,
-            friction=float(mu),
-            half_size=half_size,
-            radius=float(radius),
-            rolling=rolls,
-        )
-
-
-def _is_size(size: Any) -> bool:
-    return size is None or (isinstance(size, list) and len(size) == 2 and all(map(is_number, size)))
+    for frame, row in zip(frames, zip(*given.values(), strict=True), strict=True):
+        entry = {"name": frame, "frame": frame, **dict(zip(given, row, strict=True))}
+        yield _entry("contacts", lambda values: PlannedContact(**values), entry)
 
 
 def _limit(meta: Mapping[str, Any], key: str) -> np.ndarray | None:
@@ -304,19 +263,9 @@ def _by_phase(
 
 
 def _payload(entry: Any, frames: Sequence[str]) -> CarriedBody:
-    wrong = InputError(f"it holds {shown(entry)}", "frame, mass, centre, inertia, phases")
     if not isinstance(entry, dict) or entry.get("frame") not in frames:
-        raise wrong
-    phases, mass = entry.get("phases"), entry.get("mass")
-    if not (isinstance(phases, list) and all(type(phase) is int for phase in phases) and is_number(mass)):
-        raise wrong
-    try:
-        centre, inertia = _numbers(entry["centre"], (3,)), _numbers(entry["inertia"], (3, 3))
-    except (KeyError, InputError):
-        raise wrong from None
-    return CarriedBody(
-        frame=entry["frame"], mass=float(mass), centre=centre, inertia=inertia, phases=tuple(phases)
-    )
+        raise InputError(f"it holds {shown(entry)}", "frame, mass, centre, inertia, phases")
+    return CarriedBody(**entry)
 
 
 def _periodicity(given: Any) -> PeriodicImage:
@@ -377,17 +326,7 @@ def _mesh(given: Any) -> Mesh:
 
 
 def _graded(given: Any) -> GradedStatistics:
-    rounds = tuple(
-        RoundStatistics(
-            **{
-                **entry,
-                "intervals": tuple(entry["intervals"]),
-                "errors_m": None if entry.get("errors_m") is None else tuple(entry["errors_m"]),
-            }
-        )
-        for entry in given["rounds"]
-    )
-    return GradedStatistics(**{**given, "rounds": rounds})
+    return GradedStatistics(**{**given, "rounds": [RoundStatistics(**entry) for entry in given["rounds"]]})
 
 
 def _numbers(given: Any, shape: tuple[int, ...]) -> np.ndarray:

@@ -38,7 +38,7 @@ UNIVERSE = "universe"
 MOST_JOINTS, MOST_FRAMES = 1000, 10_000
 LONGEST_NAME = 500
 # Largest length (m), mass (kg), inertia (kg m^2), friction, damping or gravity, so that products stay finite.
-LARGEST = 1e9
+LARGEST_VALUE = 1e9
 # Rounding error of decimal rotation entries, and of the length of an axis.
 ROTATION_ERROR = 1e-6
 # Control characters and lone surrogates, which cannot be displayed.
@@ -50,15 +50,15 @@ _FIELDS: dict[str, tuple[str, str, float]] = {
     "effort_upper": ("upperEffortLimit", "nv", math.inf),
     "velocity_lower": ("lowerVelocityLimit", "nv", math.inf),
     "velocity_upper": ("upperVelocityLimit", "nv", math.inf),
-    "friction_lower": ("lowerDryFrictionLimit", "nv", LARGEST),
-    "friction_upper": ("upperDryFrictionLimit", "nv", LARGEST),
-    "damping": ("damping", "nv", LARGEST),
-    "armature": ("armature", "nv", LARGEST),
-    "rotor_inertia": ("rotorInertia", "nv", LARGEST),
-    "rotor_gear_ratio": ("rotorGearRatio", "nv", LARGEST),
+    "friction_lower": ("lowerDryFrictionLimit", "nv", LARGEST_VALUE),
+    "friction_upper": ("upperDryFrictionLimit", "nv", LARGEST_VALUE),
+    "damping": ("damping", "nv", LARGEST_VALUE),
+    "armature": ("armature", "nv", LARGEST_VALUE),
+    "rotor_inertia": ("rotorInertia", "nv", LARGEST_VALUE),
+    "rotor_gear_ratio": ("rotorGearRatio", "nv", LARGEST_VALUE),
     "position_lower": ("lowerPositionLimit", "nq", math.inf),
     "position_upper": ("upperPositionLimit", "nq", math.inf),
-    "position_margin": ("positionLimitMargin", "nq", LARGEST),
+    "position_margin": ("positionLimitMargin", "nq", LARGEST_VALUE),
 }
 # Key without "model_" -> allowed number kinds, as in `numpy.dtype.kind`, and shape.
 _FORMS: dict[str, tuple[str, tuple[str | int, ...]]] = {
@@ -174,7 +174,7 @@ def _require_valid(arrays: _Arrays) -> None:
         raise InputError(f"the model has {given['bodies']} bodies", f"allowed: 1 to {MOST_FRAMES}")
     for key, (kinds, _) in _FORMS.items():
         if kinds == "f":
-            largest = _FIELDS[key][2] if key in _FIELDS else LARGEST
+            largest = _FIELDS[key][2] if key in _FIELDS else LARGEST_VALUE
             wrong = given[key][~(np.abs(given[key]) <= largest)]
             if len(wrong):
                 raise InputError(f"'model_{key}' holds {wrong[0]:g}", f"allowed: up to {largest:g}, not NaN")

@@ -18,7 +18,7 @@ from trajopt.solution.archive import read_members
 from trajopt.solution.model_arrays import MODEL_KINDS, model_from_arrays, model_to_arrays
 
 # Limits of the process: time, s, and memory, bytes. A robot's text takes 0.4 s, mostly to start.
-LONGEST, LARGEST = 60.0, 4 * 2**30
+READER_TIME, READER_MEMORY = 60.0, 4 * 2**30
 # Number of texts whose arrays are cached: files of one robot are often read in sequence.
 MOST_TEXTS = 16
 # The process has the same import path as this one, regardless of its working directory.
@@ -41,7 +41,7 @@ def _arrays(text: str) -> bytes:
     environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     given = text.encode()
     return subprocess.run(
-        command, input=given, capture_output=True, check=True, timeout=LONGEST, env=environment
+        command, input=given, capture_output=True, check=True, timeout=READER_TIME, env=environment
     ).stdout
 
 
@@ -49,7 +49,7 @@ def _answer() -> None:
     """Read a text from stdin and write the arrays of its model to stdout; runs in the process."""
     import resource  # not available on every system
 
-    resource.setrlimit(resource.RLIMIT_AS, (LARGEST, LARGEST))
+    resource.setrlimit(resource.RLIMIT_AS, (READER_MEMORY, READER_MEMORY))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     model, answer = pin.Model(), io.BytesIO()
     model.loadFromString(sys.stdin.buffer.read().decode())

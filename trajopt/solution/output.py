@@ -12,7 +12,7 @@ from trajopt.errors import InputError, expanded
 ALLOWED = "allowed: a file in an existing folder that can be written"
 ALLOWED_FOLDER = "allowed: a new name in an existing folder that can be written"
 # Mode bits that allow writing.
-WRITABLE = stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH
+WRITE_BITS = stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH
 # First bytes of a solution file.
 ARCHIVE = b"PK"
 
@@ -106,7 +106,7 @@ def _require_file(target: Path) -> None:
         if target.exists() and not target.is_file():
             raise InputError(f"cannot write {target}: it is not a regular file", ALLOWED)
         # The superuser has access to any file, so the mode is checked as well.
-        if target.exists() and not (os.access(target, os.W_OK) and target.stat().st_mode & WRITABLE):
+        if target.exists() and not (os.access(target, os.W_OK) and target.stat().st_mode & WRITE_BITS):
             raise InputError(f"cannot write {target}: it is write-protected", ALLOWED)
 
 

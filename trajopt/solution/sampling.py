@@ -11,7 +11,7 @@ from trajopt.errors import InputError, require_positive, shown
 from trajopt.solution.consistency import SAME_TIME
 from trajopt.solution.interpolation import MotionSample
 from trajopt.solution.local_states import local_state, rotation_matrices
-from trajopt.solution.names import BaseAxes, QuaternionOrder, is_base
+from trajopt.solution.sampled_motion import BaseAxes, QuaternionOrder, is_base
 
 # Interval of a node: there contacts begin and end, and velocities, torques and forces may jump.
 Side = Literal["after", "before"]

@@ -24,14 +24,14 @@ from trajopt.solution.arrays import OTHERS, SAMPLED, read_only, runs
 from trajopt.solution.consistency import wrong_number
 from trajopt.solution.description import PlanDescription
 from trajopt.solution.interpolation import InterpolatedMotion
-from trajopt.solution.names import (
+from trajopt.solution.sampled_motion import (
     BaseAxes,
     QuaternionOrder,
+    SampledMotion,
     position_names,
     require_convention,
     velocity_names,
 )
-from trajopt.solution.sampled_motion import SampledMotion
 from trajopt.solution.sampling import (
     Side,
     angles_of,

@@ -6,9 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from trajopt.arguments import Count, checked
 from trajopt.transcription.mesh import Mesh
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class RoundStatistics:
     """One solve of a refinement: mesh in words, size, effort, and error of each phase in m."""
@@ -22,6 +24,7 @@ class RoundStatistics:
     errors_m: tuple[float | None, ...] | None = None
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class GradedStatistics:
     """A solve to an accuracy grade: whether and why it ended, all rounds, times of solver and checks in s.
@@ -60,17 +63,17 @@ class SolveStatistics:
     status: str
     success: bool
     converged: bool
-    iterations: int
+    iterations: Count
     objective: float | None
     tolerance: float
     wall_time_s: float
-    versions: Mapping[str, str] = field(default_factory=dict)
+    versions: Mapping[str, Any] = field(default_factory=dict)
     solver_status: str = ""
     advice: str = ""
     hessian: str | None = None
     mesh: Mesh | None = None
-    variables: int = 0
-    constraints: int = 0
+    variables: Count = 0
+    constraints: Count = 0
     max_violation: float | None = None
     primal_infeasibility: float | None = None
     dual_infeasibility: float | None = None
@@ -80,9 +83,9 @@ class SolveStatistics:
     build_time_s: float | None = None
     compile_time_s: float | None = None
     verdict_time_s: float | None = None
-    functions_compiled: int | None = None
+    functions_compiled: Count | None = None
     warm_start: bool = False
-    seed: int | None = None
+    seed: Count | None = None
     perturb: float | None = None
     failures: tuple[str, ...] = ()
     worst_figure: str = ""

@@ -29,13 +29,13 @@ from trajopt.transcription.sparse_maps import SparseMatrix
 
 # Proximal weights of the first minimisation and of the following ones. With ten times the second, feasible
 # tall hops and long jumps end at a violation.
-FAR, NEAR = 1e-4, 1e-6
+FIRST_PROX, LATER_PROX = 1e-4, 1e-6
 # Violation of one row, in scaled units, that is clear, and one that a solver can remove. Measured: feasible
 # problems end below 1e-3, infeasible ones above 1.2e-2. The gap is narrow for barely feasible problems, and a
 # point between the two is no verdict.
-CLEAR, MENDED = 1e-2, 1e-3
+CLEAR_VIOLATION, REMOVABLE_VIOLATION = 1e-2, 1e-3
 # If a minimum is below this fraction of the last one, prox held that back; the violation may fall further.
-HELD_BACK = 0.5
+FALL_SHARE = 0.5
 # Slacks start this far beyond the violations: well inside their bounds for the first barrier.
 FIRST_SLACK = 1e-3
 # A certificate needs few digits, and the first minimum even fewer. Barriers start small, near an iterate.
@@ -81,17 +81,17 @@ class ElasticPoint:
     @property
     def missed(self) -> float:
         """Sum of the violations that are too large for a solver to remove."""
-        return float(self.gives[self.gives > MENDED].sum())
+        return float(self.gives[self.gives > REMOVABLE_VIOLATION].sum())
 
     @property
     def feasible(self) -> bool:
-        """Whether no row is violated by more than `MENDED`."""
-        return bool(self.gives.max(initial=0.0) <= MENDED) and not self.stopped
+        """Whether no row is violated by more than `REMOVABLE_VIOLATION`."""
+        return bool(self.gives.max(initial=0.0) <= REMOVABLE_VIOLATION) and not self.stopped
 
     @property
     def infeasible(self) -> bool:
         """Whether it certifies local infeasibility: a minimum with a clear violation."""
-        return self.minimum and bool(self.gives.max(initial=0.0) >= CLEAR)
+        return self.minimum and bool(self.gives.max(initial=0.0) >= CLEAR_VIOLATION)
 
 
 def least_violation(
@@ -109,11 +109,11 @@ def least_violation(
     deadline, missed = time.perf_counter() + max_time, np.inf
     point, spent, seconds = None, 0, 0.0
     while True:
-        prox, options, x = (FAR, _FIRST, start) if point is None else (NEAR, _SECOND, point.x)
+        prox, options, x = (FIRST_PROX, _FIRST, start) if point is None else (LATER_PROX, _SECOND, point.x)
         left = max(deadline - time.perf_counter(), LEAST_TIME)
         point = _solved(nlp, x, counted_from(spent, callback), prox, options, max_iterations - spent, left)
         spent, seconds = spent + point.iterations, seconds + point.function_time
-        settled = prox == NEAR and point.missed > HELD_BACK * missed
+        settled = prox == LATER_PROX and point.missed > FALL_SHARE * missed
         if settled or point.feasible or not point.minimum or spent >= max_iterations:
             break
         missed = point.missed
@@ -139,8 +139,8 @@ def _solved(
     x = np.clip(start, t.lower_x, t.upper_x)
     n, (rows, signs) = len(x), _slacks(t.lower_g, t.upper_g)
     values, n_slacks = np.asarray(nlp.engine.g(x)), len(rows)
-    lacking = np.maximum(t.lower_g - values, 0.0) - np.maximum(values - t.upper_g, 0.0)
-    first = np.maximum(signs * lacking[rows], 0.0) + FIRST_SLACK
+    missing = np.maximum(t.lower_g - values, 0.0) - np.maximum(values - t.upper_g, 0.0)
+    first = np.maximum(signs * missing[rows], 0.0) + FIRST_SLACK
     push = PUSH * float(options["mu_init"])
     names = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
     raw = _engine.solve_ipopt(

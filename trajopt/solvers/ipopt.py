@@ -26,7 +26,7 @@ IPOPT_OPTIONS: dict[str, Option] = {
 }
 # Multipliers of bounds balance costs: they start at this quantile of the magnitudes in the costs' gradient,
 # clipped to the smallest and largest value.
-BALANCED, LEAST_MULTIPLIER, MOST_MULTIPLIER = 0.99, 3e-3, 1.0
+BALANCE_QUANTILE, LEAST_MULTIPLIER, MOST_MULTIPLIER = 0.99, 3e-3, 1.0
 # Options for a start from another solution (docs/warm-starts.md). IPOPT's default distance from bounds, 1e-2,
 # and its default multipliers discard the solution's information. The solution's multipliers keep iterates
 # near the start; without them a small initial barrier does.
@@ -117,7 +117,7 @@ def _from_guess(nlp: Nlp, x0: np.ndarray) -> dict[str, Option]:
     """Return options for a start from a guess: an affine corrector, bound multipliers from the costs."""
     t = nlp.transcription
     slopes = np.abs(nlp.engine.gradient(x0))[t.lower_x < t.upper_x]
-    size = float(np.quantile(slopes, BALANCED)) if len(slopes) else 0.0
+    size = float(np.quantile(slopes, BALANCE_QUANTILE)) if len(slopes) else 0.0
     return {
         "corrector_type": "affine",
         "bound_mult_init_val": min(max(size, LEAST_MULTIPLIER), MOST_MULTIPLIER),

@@ -11,14 +11,14 @@ class Status(Enum):
         "no feasible point was found near the last iterate: look at the worst blocks; relax the goal, "
         "lengthen a phase or raise a limit"
     )
-    ITERATION_LIMIT = "the iteration limit was reached: raise --max-iterations, or start from a better guess"
-    TIME_LIMIT = "the time limit was reached: raise --max-time, or use fewer intervals"
+    ITERATION_LIMIT = "the iteration limit was reached: raise `max_iterations`, or start from a better guess"
+    TIME_LIMIT = "the time limit was reached: raise `max_time`, or use fewer intervals"
     INTERRUPTED = "stopped by the user: the iterate at that moment is kept, it is not a solution"
     NOT_FINITE = (
         "a function value or derivative is not finite: look at the block named, and at the guess there"
     )
     STEP_FAILED = "no step makes progress: try a finer grid or a perturbed start"
-    INACCURATE = "the solver reports success but rows are violated beyond tolerance: tighten --tolerance"
+    INACCURATE = "the solver reports success but rows are violated beyond tolerance: tighten `tolerance`"
     COARSE_GRID = (
         "the rows hold at the points, but the motion between them does not: use more intervals or a higher "
         "degree"
@@ -34,7 +34,7 @@ class Status(Enum):
     )
     FAILED = "the solver stopped for another reason: see the solver's own status"
 
-    def told(self, where: str = "") -> str:
+    def explain(self, where: str = "") -> str:
         """Return advice in short lines: what the status means, where, if known, and what to try."""
         what, _, remedy = self.value.partition(": ")
         return "\n".join(filter(None, (what, where, remedy)))

@@ -4,16 +4,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajopt.solvers.elastic import CLEAR, ElasticPoint
+from trajopt.solvers.elastic import CLEAR_VIOLATION, ElasticPoint
 from trajopt.transcription.names import NlpNames, Site
 from trajopt.transcription.nlp import Nlp
 from trajopt.transcription.transcription import Transcription
 
 # Rows of the motion itself: they propagate a conflict along the motion, and are blamed last.
 MOTION = ("defect", "base_dynamics", "contact_acceleration", "contact_velocity", "impact_dynamics")
-# Multipliers below NOISE are numerical noise; sums below the fraction PART of the largest are ignored.
-NOISE, PART = 1e-4, 0.1
-NAMED = 6
+# Multipliers below NOISE are numerical noise; sums below the fraction LEAST_PART of the largest are ignored.
+NOISE, LEAST_PART = 1e-4, 0.1
+NAMED_MEMBERS = 6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,7 +56,7 @@ def why_infeasible(nlp: Nlp, point: ElasticPoint) -> str:
     """
     t = nlp.transcription
     names = NlpNames(nlp, point.x)
-    give = np.where(point.gives > min(CLEAR, point.gives.max()), point.gives, 0.0)
+    give = np.where(point.gives > min(CLEAR_VIOLATION, point.gives.max()), point.gives, 0.0)
     missed = members_giving(names, give)
     giving = str(next((each for each in missed if each.block not in MOTION), missed[0]))
     limits = np.concatenate(
@@ -74,7 +74,7 @@ def members_giving(names: NlpNames, give: np.ndarray) -> tuple[ConflictMember, .
         what, phase, place = name.what, names.phase(name.site.stage), names.place(name.site)
         member = ConflictMember(what=what, phase=phase, amount=amount, weight=1.0, place=place)
         parties.setdefault((what, phase), member)
-    return tuple(parties.values())[:NAMED]
+    return tuple(parties.values())[:NAMED_MEMBERS]
 
 
 def members_against(names: NlpNames, give: np.ndarray, weights: np.ndarray) -> tuple[ConflictMember, ...]:
@@ -91,7 +91,7 @@ def members_against(names: NlpNames, give: np.ndarray, weights: np.ndarray) -> t
             entries_of.setdefault(key, []).append((abs(float(weights[index])), name.site))
     sums = {key: sum(weight for weight, _ in entries) for key, entries in entries_of.items()}
     largest = max(sums.values(), default=0.0)
-    order = sorted((key for key in sums if sums[key] > PART * largest), key=lambda key: -sums[key])
+    order = sorted((key for key in sums if sums[key] > LEAST_PART * largest), key=lambda key: -sums[key])
     return tuple(
         ConflictMember(
             what=what,
@@ -100,5 +100,5 @@ def members_against(names: NlpNames, give: np.ndarray, weights: np.ndarray) -> t
             weight=sums[what, phase],
             place=names.place(max(entries_of[what, phase], key=lambda entry: entry[0])[1]),
         )
-        for what, phase in order[:NAMED]
+        for what, phase in order[:NAMED_MEMBERS]
     )

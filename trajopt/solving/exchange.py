@@ -23,7 +23,7 @@ from trajopt.collision.joint_distance import JointDistances
 from trajopt.collision.near import ShapePair
 from trajopt.collision.planes import PlacedBody, SeparatingPlane
 from trajopt.motion.configurations import SolutionMotion
-from trajopt.problem.bodies import TOO_NEAR, ProblemBodies, bodies_of, contacts_by_shape
+from trajopt.problem.bodies import GAP_SLACK, ProblemBodies, bodies_of, contacts_by_shape
 from trajopt.problem.problem import Problem
 from trajopt.robot.contact import Contact
 from trajopt.robot.kinematics import contact_poses
@@ -40,7 +40,7 @@ REACH, LEAST_BAND, BAND = 4.0, 0.005, 0.04
 LEAST_SLACK = 2e-5
 # Each interval is sampled at its collocation points and at this many even fractions between its nodes; more
 # where a coordinate changes by more than LOOK_STEP between samples, in natural units (rad, robot lengths).
-LOOKS, LOOK_STEP = 5, 0.03
+INTERVAL_LOOKS, LOOK_STEP = 5, 0.03
 # If a pair that has rows is too near in this many looks, its distance is no longer fitted (MOST_MISSES) and
 # it gets rows wherever it is too near, not only at local minima (MOST_SLIPS): a motion slips between those.
 MOST_MISSES, MOST_SLIPS = 3, 4
@@ -69,7 +69,7 @@ class Exchange:
         problem: The problem without collision rows.
         moments: Moments at which each pair has rows.
         corners: Corners (n, 3) m by pair, moment, their frame and the body that carries the plane.
-        lacking: Largest violation of each pair's margin so far, m.
+        shortfall: Largest violation of each pair's margin so far, m.
         misses: Number of looks in which a pair was too near although it had rows.
         beyond_feet: Whether planes are laid so that feet are beyond them, see `planes.beyond_foot`.
 
@@ -81,7 +81,7 @@ class Exchange:
     corners: dict[tuple[ShapePair, PhaseMoment, str | None, str | None], np.ndarray] = field(
         default_factory=dict
     )
-    lacking: defaultdict[ShapePair, float] = field(default_factory=lambda: defaultdict(float))
+    shortfall: defaultdict[ShapePair, float] = field(default_factory=lambda: defaultdict(float))
     misses: defaultdict[ShapePair, int] = field(default_factory=lambda: defaultdict(int))
     beyond_feet: bool = False
 
@@ -96,12 +96,12 @@ class Exchange:
 
     @cached_property
     def _least(self) -> np.ndarray:
-        """Smallest allowed distance (n_pairs,) m: the margin less `TOO_NEAR`.
+        """Smallest allowed distance (n_pairs,) m: the margin less `GAP_SLACK`.
 
         The ground is penetrated by no more than the check allows.
         """
         margins = self.bodies.margins
-        return np.minimum(np.maximum(margins - TOO_NEAR, -PENETRATION), margins - LEAST_SLACK)
+        return np.minimum(np.maximum(margins - GAP_SLACK, -PENETRATION), margins - LEAST_SLACK)
 
     def moved_to(self, problem: Problem) -> Exchange:
         """Return the same pairs, moments and link corners for a problem with other parameters."""
@@ -165,8 +165,8 @@ class Exchange:
                 self.misses[pair] += pair in self.moments and pair in missing
                 distances = short[:, column]
                 missed = look.distances[:, column] < self._least[column]
-                self.lacking[pair] = max(self.lacking[pair], -float(distances.min()))
-                band = np.clip(REACH * self.lacking[pair], LEAST_BAND * length, self.band)
+                self.shortfall[pair] = max(self.shortfall[pair], -float(distances.min()))
+                band = np.clip(REACH * self.shortfall[pair], LEAST_BAND * length, self.band)
                 deepest = missed if self.misses[pair] > MOST_SLIPS else missed & _least_around(distances)
                 near = (distances < band) & look.regular | deepest
                 if near.any():
@@ -336,7 +336,7 @@ def _moments_to_look_at(
         looked_at = np.unique(np.round([0.0, *collocation_fractions(plan.arrays, number)[1], 1.0], DIGITS))
         start, end = plan.interval_t[number]
         travel = (end - start) * float((np.abs(plan.v[plan.intervals[number]]) / units).max())
-        looks = max(LOOKS, math.ceil(travel / LOOK_STEP))
+        looks = max(INTERVAL_LOOKS, math.ceil(travel / LOOK_STEP))
         further = [(time - start) / (end - start) for time in times if start < time < end]
         evenly = np.linspace(0.0, 1.0, looks + 2)
         every = np.unique(np.round(np.concatenate([looked_at, evenly, further]), DIGITS))

@@ -31,7 +31,7 @@ from trajopt.transcription.transcription import chosen_mesh
 # two feet errors grow, and with a quarter of the intervals a dozen gaits are not tracked in MuJoCo.
 FIRST_SCHEME, FIRST_PART, FIXED_BASE_PART = "legendre:4", 0.4, 0.25
 # Widest interval of the first mesh, in the NLP's unit of time.
-WIDEST = 1.0
+WIDEST_INTERVAL = 1.0
 MOST_ROUNDS = 14
 # The solver's tolerance as a fraction of the accuracy over the robot's reach (the error grows along the
 # motion), with its smallest and largest value.
@@ -47,7 +47,7 @@ def first_mesh(problem: Problem, least: bool = False) -> Mesh:
     if problem.default_transcription != USUAL_SCHEME:
         return Mesh.uniform(problem.default_transcription, counts)
     part = FIXED_BASE_PART if least or problem.robot.base == "fixed" else FIRST_PART
-    widest = WIDEST * Units(problem.robot).time
+    widest = WIDEST_INTERVAL * Units(problem.robot).time
     wanted = [
         max(round(part * count), math.ceil(phase.duration / widest), 1)
         for count, phase in zip(counts, problem.schedule.phases, strict=True)

@@ -133,9 +133,9 @@ class ProgressReporter:
 
     def __call__(self, figures: dict[str, float], unknowns: Callable[[], np.ndarray]) -> bool:
         """Report one iteration; ``unknowns`` may be called until this returns. False stops the solver."""
-        told = {**figures, "objective": self.transcription.objective_unit * figures["objective"]}
-        go_on = self.progress is None or self.progress(told)
-        self.see("iteration", unknowns, told)
+        reported = {**figures, "objective": self.transcription.objective_unit * figures["objective"]}
+        go_on = self.progress is None or self.progress(reported)
+        self.see("iteration", unknowns, reported)
         return go_on
 
     def end(self, result: Result, status: str) -> None:

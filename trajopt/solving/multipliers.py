@@ -26,7 +26,7 @@ from trajopt.transcription.timeline import StageKind
 from trajopt.transcription.transcription import Transcription
 
 # Fraction of an interval by which its points are moved inwards, since neighbouring intervals share an end.
-INSIDE = 1e-9
+INWARD_SHIFT = 1e-9
 
 
 # Rows with the same block, phase, kind of place and number of rows are samples of one function.
@@ -160,7 +160,7 @@ def _block(layout: Layout, name: str, k: int, point: int, rows: np.ndarray) -> _
         phase, (start, end) = _interval_in_phase(layout, k)
         method = layout.scheme_of(phase)
         c = float(method.c[point])
-        inner = start + (c + INSIDE * (0.5 - c)) * (end - start)
+        inner = start + (c + INWARD_SHIFT * (0.5 - c)) * (end - start)
         weight = layout.steps[k] * method.b1[point]
         return _Block((name, phase, "point", len(rows)), rows, inner, weight)
     if name == "defect" and not transition:

@@ -12,8 +12,9 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from trajopt.arguments import Positive, checked
 from trajopt.certify.accuracy.comparison import Comparison, compare
-from trajopt.errors import InputError, TrajoptError, require_positive
+from trajopt.errors import InputError, TrajoptError
 from trajopt.problem.problem import Problem
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.solution.grid import mesh_of
@@ -31,9 +32,9 @@ OBJECTIVE = 1e-5
 # Largest distance between two motions, over the robot's reach: half a millimetre for a dog-sized robot.
 DISTANCE = 1e-3
 # Motions further apart than this, over the reach, may be different optima and are tested.
-APART = 0.02
+OPTIMUM_DISTANCE = 0.02
 # So are motions this many times as far apart as the two before them: refinement alone reduces the distance.
-GREW = 2.0
+DISTANCE_GROWTH = 2.0
 # A solution on the coarser mesh belongs to the finer mesh's optimum if its distance from it is below this
 # fraction of the gap.
 SAME_SIDE = 0.25
@@ -45,6 +46,7 @@ LEAST_TIME = 1.0
 Start = Solution | str | Path | None
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Agreement:
     """How far two solutions that agree may be apart.
@@ -53,12 +55,8 @@ class Agreement:
     compared too, in rad (over l in m if l > 1 m): they may turn without any named point moving.
     """
 
-    objective: float = OBJECTIVE
-    distance: float = DISTANCE
-
-    def __post_init__(self) -> None:
-        for name in ("objective", "distance"):
-            require_positive(f"the {name} of an agreement", getattr(self, name))
+    objective: Positive = OBJECTIVE
+    distance: Positive = DISTANCE
 
     def holds(self, apart: Comparison, units: NaturalUnits) -> bool:
         """Return whether a comparison is within these bounds."""
@@ -272,8 +270,8 @@ class _Climb:
     def _is_other(self, coarse: Solution, fine: Solution, apart: Comparison) -> bool:
         """Return whether two solutions are different optima; tested only if far apart or diverging."""
         before = self.rungs[-1].apart
-        grew = before is not None and apart.farthest > GREW * before.farthest
-        far = apart.farthest > APART * NaturalUnits.of(coarse.model).length
+        grew = before is not None and apart.farthest > DISTANCE_GROWTH * before.farthest
+        far = apart.farthest > OPTIMUM_DISTANCE * NaturalUnits.of(coarse.model).length
         if self.left <= 0 or not (far or grew):
             return False
         return in_other_optimum(self.problem, coarse, fine, max_time=self.left, **self.settings)

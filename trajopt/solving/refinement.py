@@ -44,12 +44,12 @@ from trajopt.transcription.transcription import chosen_mesh
 # Scheme for which a problem's own number of intervals is meant, unless it names another.
 USUAL_SCHEME = "legendre:2"
 # Bodies that penetrate by this much, m, are separated before the mesh is refined.
-DEEP = 5e-3
+DEPTH = 5e-3
 # Figures of the check for joint limits.
 LIMITS = ("effort_excess", "velocity_excess", "position_excess")
 # Planes are laid anew until the relative change of the objective is below this: the motion within them is
 # then locally optimal.
-SETTLED = 5e-3
+OBJECTIVE_CHANGE = 5e-3
 MOST_VARIABLES = 100_000
 # If a phase fails in more than PATIENCE successive rounds, the neighbours of intervals that are split are
 # split as well, and no interval stays BALANCE times as wide as the next one.
@@ -59,10 +59,10 @@ MAX_TIME = 600.0
 # A solve from the last motion is given up after GIVE_UP times the iterations of the last round, but not below
 # GIVE_UP_LEAST iterations times variables, since giving up a small solve gains nothing. It is repeated with
 # larger distances from bounds, then from other starts, and without the limit if none of them converges. The
-# limit is DEEPER times as high if bodies were deep in each other, since the motion will change much.
-GIVE_UP, GIVE_UP_LEAST, DEEPER = 3, 2.5e5, 2
-# If after FAR_ROUNDS rounds the best motion is still FAR times beyond a tolerance, the refinement restarts.
-FAR_ROUNDS, FAR = 4, 20.0
+# limit is DEEP_FACTOR times as high if bodies were deep in each other, since the motion will change much.
+GIVE_UP, GIVE_UP_LEAST, DEEP_FACTOR = 3, 2.5e5, 2
+# If after FAR_ROUNDS the best motion is still FAR_RATIO times beyond a tolerance, the refinement restarts.
+FAR_ROUNDS, FAR_RATIO = 4, 20.0
 # Iterations on the first mesh before the problem's own mesh is tried; then the first is solved without limit.
 MOST_FIRST = 200
 
@@ -125,11 +125,11 @@ class Refinement:
                 return "it is a draft" if rounds == 1 else f"{rounds} rounds were not enough"
             imposed = self._far_limits_imposed(report)
             # A motion from a given start passes bodies on the side that the start chose.
-            deep = self.exchange.sideless_depth(look, known=not self.settled) >= DEEP
+            deep = self.exchange.sideless_depth(look, known=not self.settled) >= DEPTH
             sideless = deep and start is None
             self.exchange.add(look)
             mesh = mesh_of(solution)
-            if self.refine and near < DEEP and not imposed:  # otherwise the motion will change much
+            if self.refine and near < DEPTH and not imposed:  # otherwise the motion will change much
                 mesh = self._refined(mesh, latest)
             if mesh == mesh_of(solution) and near <= 0 and self.settled and not imposed:
                 return "a finer mesh does not mend what is missed" if self.refine else "the mesh is fixed"
@@ -137,12 +137,12 @@ class Refinement:
                 return f"the next mesh would have more than {MOST_VARIABLES} variables"
             if self._left() <= LEAST_TIME:
                 return "the time is used"
-            hopeless = examined == FAR_ROUNDS and self.best is not None and self.best[0] > FAR
-            anew = self._begun_anew() if hopeless else None
+            hopeless = examined == FAR_ROUNDS and self.best is not None and self.best[0] > FAR_RATIO
+            anew = self._restart() if hopeless else None
             if anew is not None:
                 solution, rounds = anew, rounds + examined
                 continue
-            solution = self._solved_from(mesh, solution, sideless, DEEPER if near >= DEEP else 1)
+            solution = self._solved_from(mesh, solution, sideless, DEEP_FACTOR if near >= DEPTH else 1)
         return f"a mesh was not solved: {self.rounds[-1].status.replace('_', ' ')}"
 
     def _far_limits_imposed(self, report: CheckReport) -> bool:
@@ -174,7 +174,7 @@ class Refinement:
         left = own != mesh and not self.exchange.moments and self.rounds[0].iterations >= MOST_FIRST
         return self._solved(mesh, start) if left else None
 
-    def _begun_anew(self) -> Solution | None:
+    def _restart(self) -> Solution | None:
         """Solve from the guess on the problem's own mesh, without collision rows; None if that fails.
 
         If rounds from a coarse mesh do not come near the grade, they follow another optimum.
@@ -262,7 +262,7 @@ class Refinement:
             solved = self._solved(mesh, start, problem)
         if solved is not None:
             before, after = (s.statistics.objective or 0.0 for s in (solution, solved))
-            near = abs(after - before) <= SETTLED * max(abs(before), abs(after))
+            near = abs(after - before) <= OBJECTIVE_CHANGE * max(abs(before), abs(after))
             self.settled = near or not self.exchange.moments
         return solved
 

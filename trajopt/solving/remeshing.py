@@ -21,11 +21,11 @@ from trajopt.transcription.mesh import Mesh, PhaseMesh
 from trajopt.transcription.schemes import Scheme
 
 # Fraction of the target that the model aims at, since its growth and time scale are estimates.
-AIM = 0.5
+TARGET_SHARE = 0.5
 # Largest number of parts per interval and round: errors on a coarse mesh predict a fine one only roughly.
 MOST_PARTS = 4
 # If a phase diverges, its growth is unknown; its local errors are then reduced to this fraction.
-RUN_AWAY = 1e-2
+DIVERGED_SHARE = 1e-2
 # Smallest local error above rounding, over the robot's length.
 ROUNDING = 1e-15
 
@@ -68,7 +68,7 @@ def _remeshed_phase(
     mesh: PhaseMesh, errors: PhaseErrors, least: np.ndarray, length: float, raise_degree: bool
 ) -> PhaseMesh:
     local = np.clip(errors.local, ROUNDING * length, length)
-    wanted = AIM / errors.phase if math.isfinite(errors.phase) else RUN_AWAY
+    wanted = TARGET_SHARE / errors.phase if math.isfinite(errors.phase) else DIVERGED_SHARE
     allowed = wanted * float(local.sum())
     node, point = errors.unknowns
     finer, candidates = mesh.method.finer if raise_degree else None, []

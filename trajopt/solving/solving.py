@@ -205,11 +205,11 @@ def solve_prepared(
     """
     stop = stop or StoppingCriteria()
     place = nonfinite_place(prepared.nlp, start)
-    told = ProgressReporter(prepared.transcription, progress, watch, solver, label)
-    told.see("guess", lambda: start)
+    reporter = ProgressReporter(prepared.transcription, progress, watch, solver, label)
+    reporter.see("guess", lambda: start)
     if place is None:
         result, certificate = solve_or_certify(
-            prepared.nlp, start, solver, stop, options or {}, told, prepared.warm
+            prepared.nlp, start, solver, stop, options or {}, reporter, prepared.warm
         )
     else:
         result, certificate = _not_finite(prepared, start), None
@@ -219,7 +219,7 @@ def solve_prepared(
     solution = fail_on_gimbal_lock(solution)
     if judge and prepared.transcription.problem.holds_contacts:
         solution = judged(solution)
-    told.end(result, solution.statistics.status)
+    reporter.end(result, solution.statistics.status)
     return solution
 
 

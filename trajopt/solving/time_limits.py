@@ -4,4 +4,4 @@
 GRACE = 30.0
 # Time for building, compiling and checking the meshes of a solve to a grade: an order of magnitude above what
 # the largest robots take on a busy machine.
-BESIDE = 600.0
+OVERHEAD_TIME = 600.0

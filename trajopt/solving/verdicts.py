@@ -36,12 +36,12 @@ def status_by_violation(status: Status, worst: float, tolerance: float) -> Statu
 def advice_for(status: Status, place: str | None, feasible: bool) -> str:
     """Return what to try after a status; ``place`` is where a value is not finite."""
     stuck = feasible and status in (Status.STEP_FAILED, Status.ITERATION_LIMIT)
-    return status.told(DEPENDENT if place is None and stuck else place or "")
+    return status.explain(DEPENDENT if place is None and stuck else place or "")
 
 
 def certified_infeasible(solution: Solution, why: str) -> Solution:
     """Mark a solution as a point of least violation, see `trajopt.solvers.elastic`; ``why`` is one line."""
-    advice = Status.INFEASIBLE.told(why)
+    advice = Status.INFEASIBLE.explain(why)
     return solution.with_statistics(advice=advice, certified_infeasible=True)
 
 
@@ -53,7 +53,7 @@ def fail_on_gimbal_lock(solution: Solution) -> Solution:
     changes: dict[str, Any] = {"gimbal_margin": finite_or_none(margin)}
     if not margin >= LEAST_MARGIN:
         status = Status.SINGULAR_BASE
-        advice = status.told(f"margin {margin:.3f}, least {LEAST_MARGIN:g}")
+        advice = status.explain(f"margin {margin:.3f}, least {LEAST_MARGIN:g}")
         if solution.success:
             changes |= {"status": status.word, "success": False, "converged": False, "advice": advice}
         else:
@@ -85,15 +85,15 @@ def judged_by(solution: Solution, report: CheckReport, tolerances: Tolerances) -
     solution = solution.with_statistics(
         status=Status.SOLVED.word,
         success=True,
-        advice=Status.SOLVED.told(),
+        advice=Status.SOLVED.explain(),
         failures=tuple(failures),
         worst_figure=FIGURES[name].text,
         tolerance_used=finite_or_none(used),
     )
     if not failures:
         return solution
-    beyond = f"{report.said(name)}, {used:.2g} times what is allowed"
-    return _failed(solution, Status.COARSE_GRID.told(beyond))
+    beyond = f"{report.in_words(name)}, {used:.2g} times what is allowed"
+    return _failed(solution, Status.COARSE_GRID.explain(beyond))
 
 
 def _failed(solution: Solution, advice: str) -> Solution:

@@ -8,7 +8,7 @@ from rich.table import Table
 
 from trajopt.problem.published import PublishedOptimum
 from trajopt.solving.solving import solve
-from trajopt.study.workers.display import figure_table
+from trajopt.study.display import figure_table
 
 # The scheme is exact for the polynomials of these problems; switches of the input fall on its nodes or are
 # resolved by this many intervals.

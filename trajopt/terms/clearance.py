@@ -2,9 +2,8 @@
 
 from dataclasses import dataclass
 
-from trajopt.arguments import checked
+from trajopt.arguments import NonNegative, checked
 from trajopt.collision.shapes import LinkShape, Obstacle, require_different_names
-from trajopt.errors import require_not_negative
 from trajopt.terms.interfaces import Term
 
 
@@ -32,13 +31,9 @@ class Clearance(Term):
     """
 
     obstacles: tuple[Obstacle, ...] = ()
-    margin: float = 0.0
+    margin: NonNegative = 0.0
     shapes: tuple[LinkShape, ...] | None = None
     self_collision: bool = True
 
     def __post_init__(self) -> None:
-        require_not_negative("margin to obstacles", self.margin, "m")
-        object.__setattr__(self, "obstacles", tuple(self.obstacles))
         require_different_names("obstacles", [obstacle.name for obstacle in self.obstacles])
-        if self.shapes is not None:
-            object.__setattr__(self, "shapes", tuple(self.shapes))

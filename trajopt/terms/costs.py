@@ -12,8 +12,7 @@ import casadi as ca
 import numpy as np
 from typing_extensions import override
 
-from trajopt.arguments import NonNegative, checked
-from trajopt.errors import require_not_negative, unit_vector
+from trajopt.arguments import NonNegative, UnitVector, checked
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.schedule.schedule import Schedule
@@ -203,9 +202,6 @@ class NodeCost(Term, ABC):
 
     weight: NonNegative
 
-    def __post_init__(self) -> None:
-        require_not_negative(f"weight of {self.name}", self.weight)
-
     def acts_at(self, place: NodePlace) -> bool:
         """Whether the cost acts at this node; default: at the end of the schedule."""
         return place.last
@@ -239,10 +235,6 @@ class FrameHeightCost(AtMoment, NodeCost):
 
     frame: str
 
-    def __post_init__(self) -> None:
-        NodeCost.__post_init__(self)
-        AtMoment.__post_init__(self)
-
     @override
     def quantity(self, context: Context, units: Units, place: NodePlace) -> ca.SX:
         return -context.frame(self.frame).position[2] / units.length
@@ -268,13 +260,7 @@ class DistanceCost(AtMoment, NodeCost):
     """
 
     frame: str
-    direction: tuple[float, float, float] = (1.0, 0.0, 0.0)
-
-    def __post_init__(self) -> None:
-        NodeCost.__post_init__(self)
-        AtMoment.__post_init__(self)
-        direction = unit_vector(f"direction of {self.name}", self.direction)
-        object.__setattr__(self, "direction", tuple(direction.tolist()))
+    direction: UnitVector = (1.0, 0.0, 0.0)
 
     @override
     def quantity(self, context: Context, units: Units, place: NodePlace) -> ca.SX:

@@ -18,8 +18,8 @@ import casadi as ca
 import numpy as np
 from typing_extensions import override
 
-from trajopt.arguments import checked
-from trajopt.errors import InputError, require_positive
+from trajopt.arguments import Positive, SignedFraction, checked
+from trajopt.errors import InputError
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
@@ -130,12 +130,6 @@ def heat_coefficients(drives: Sequence[Drive | None] | None, nu: int) -> np.ndar
     return heat
 
 
-def require_recovered(recovered: float) -> None:
-    """Raise `InputError` for a recovered fraction of power outside -1 to 1."""
-    if not -1 <= recovered <= 1:
-        raise InputError(f"recovered part of power is {recovered:g}", "allowed: -1 to 1")
-
-
 @checked
 @dataclass(frozen=True, kw_only=True)
 class PowerCost(Cost):
@@ -157,13 +151,8 @@ class PowerCost(Cost):
         InputError: for numbers out of range.
     """
 
-    recovered: float = -1.0
-    smoothing: float = SMOOTHING
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_recovered(self.recovered)
-        require_positive(f"smoothing of {self.name}", self.smoothing)
+    recovered: SignedFraction = -1.0
+    smoothing: Positive = SMOOTHING
 
     @override
     def residual(self, context: Context, units: Units) -> ca.SX:

@@ -7,9 +7,9 @@ import casadi as ca
 import numpy as np
 from typing_extensions import override
 
-from trajopt.arguments import checked
+from trajopt.arguments import Array3, Array33, UnitVector, checked
 from trajopt.dynamics.rotations import rotation_error
-from trajopt.errors import InputError, finite_array, unit_vector
+from trajopt.errors import InputError
 from trajopt.robot.units import Units
 from trajopt.robot.validation import UNIT_SLACK
 from trajopt.schedule.moment import Target
@@ -64,20 +64,16 @@ class FramePose(AtMoment, NodeConstraint):
     """
 
     frame: str
-    position: np.ndarray | None = None
-    rotation: np.ndarray | None = None
+    position: Array3 | None = None
+    rotation: Array33 | None = None
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         if self.position is None and self.rotation is None:
             raise InputError(
                 f"{self.name} of '{self.frame}' has no goal", "allowed: position, rotation or both"
             )
-        if self.position is not None:
-            finite_array(f"position of {self.name}", self.position, unit="m, world")
-        turn = np.eye(3) if self.rotation is None else np.asarray(self.rotation, dtype=float)
-        known = turn.shape == (3, 3) and bool(np.all(np.isfinite(turn)))
-        if not known or not np.allclose(turn.T @ turn, np.eye(3), rtol=0, atol=UNIT_SLACK):
+        turn = np.eye(3) if self.rotation is None else self.rotation
+        if not np.allclose(turn.T @ turn, np.eye(3), rtol=0, atol=UNIT_SLACK):
             raise InputError(f"rotation of {self.name} is {turn.tolist()}", "allowed: (3, 3), orthonormal")
         if np.linalg.det(turn) < 0:
             raise InputError(f"rotation of {self.name} is a reflection", "allowed: determinant 1")
@@ -93,7 +89,7 @@ class FramePose(AtMoment, NodeConstraint):
         expressions, targets, scales = [], [], []
         if self.position is not None:
             expressions.append(frame.position)
-            targets.append(np.asarray(self.position, dtype=float))
+            targets.append(self.position)
             scales.append(np.full(3, units.length))
         if self.rotation is not None:
             expressions.append(rotation_error(context.parameter(self.rotation), frame.rotation))
@@ -146,11 +142,8 @@ class FramesAbove(DuringPhases, NodeConstraint):
     height: float
 
     def __post_init__(self) -> None:
-        if not self.frames or not math.isfinite(self.height):
-            raise InputError(
-                f"{len(self.frames)} frames are kept above {self.height:g} m",
-                "allowed: frames, and a finite height",
-            )
+        if not self.frames:
+            raise InputError(f"no frame is kept above {self.height:g} m", "allowed: one or more frames")
 
     @override
     def acts_at(self, place: NodePlace) -> bool:
@@ -185,15 +178,11 @@ class FrameDirection(AtMoment, NodeConstraint):
     """
 
     frame: str
-    axis: tuple[float, float, float]
-    direction: tuple[float, float, float]
+    axis: UnitVector
+    direction: UnitVector
     angle: float
 
     def __post_init__(self) -> None:
-        super().__post_init__()
-        for name in ("axis", "direction"):
-            vector = unit_vector(f"{name} of {self.name}", getattr(self, name))
-            object.__setattr__(self, name, tuple(vector.tolist()))
         if not 0 < self.angle < math.pi:
             raise InputError(f"angle of {self.name} is {self.angle:g} rad", "allowed: between 0 and pi")
 

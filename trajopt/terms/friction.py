@@ -13,7 +13,7 @@ import numpy as np
 from typing_extensions import override
 
 from trajopt.arguments import NonNegative, checked
-from trajopt.errors import InputError, require_not_negative
+from trajopt.errors import InputError
 from trajopt.robot.contact import Contact
 from trajopt.robot.friction import friction_rows, pressure_rows, yaw_rows
 from trajopt.robot.robot import Robot
@@ -58,10 +58,6 @@ class ContactConstraint(PointConstraint):
 
     friction: NonNegative | None = None
     contacts: tuple[str, ...] | None = None
-
-    def __post_init__(self) -> None:
-        if self.friction is not None:
-            require_not_negative(f"friction of {self.name}", self.friction)
 
     @override
     def idle(self, robot: Robot, schedule: Schedule) -> str:

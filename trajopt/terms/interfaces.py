@@ -24,11 +24,11 @@ import numpy as np
 from typing_extensions import override
 
 from trajopt.arguments import NonNegative, checked
-from trajopt.errors import InputError, numbers_of, require_not_negative, shown
+from trajopt.errors import InputError, numbers_of, shown
 from trajopt.kinds import ArrayShape
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
-from trajopt.schedule.moment import END, Moment, Target, as_moment
+from trajopt.schedule.moment import END, Moment, Target
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.terms.context import Context
 
@@ -116,9 +116,6 @@ class Cost(DuringPhases, ABC):
     """
 
     weight: NonNegative
-
-    def __post_init__(self) -> None:
-        require_not_negative(f"weight of {self.name}", self.weight)
 
     @abstractmethod
     def residual(self, context: Context, units: Units) -> ca.SX:
@@ -317,9 +314,6 @@ class AtMoment(Term):
     """
 
     at: Moment = END
-
-    def __post_init__(self) -> None:
-        as_moment(f"at of {self.name}", self.at)
 
     @property
     @override

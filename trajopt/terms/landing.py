@@ -17,7 +17,7 @@ from trajopt.terrain.surface import Surface
 from trajopt.terrain.terrain import Ground, Terrain
 
 # An edge gives a planar robot no row if the part of its normal in the robot's plane is below this.
-ACROSS = 1e-6
+IN_PLANE_PART = 1e-6
 
 
 def along_normal(context: Context, surface: Surface, columns: ca.SX) -> ca.SX:
@@ -116,7 +116,7 @@ def _inside(context: Context, units: Units, contact: Contact, patch: Patch) -> l
     independent of it. A robot that moves in a plane of the world has no rows for edges along that plane.
     """
     moves = [row for row in contact.rows if row < 3]
-    edges = np.linalg.norm(patch.inward[:, moves], axis=1) > ACROSS
+    edges = np.linalg.norm(patch.inward[:, moves], axis=1) > IN_PLANE_PART
     inward, least = context.parameter(patch.inward[edges]), (patch.offsets + patch.margin)[edges]
     points = contact_points(context, contact)
     return [Rows.create(ca.mtimes(inward, point), least, np.inf, units.length) for point in points]

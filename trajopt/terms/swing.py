@@ -30,7 +30,7 @@ from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.smooth import SmoothTerrain
 from trajopt.terrain.surface import UP, Surface
-from trajopt.terrain.swing_paths import require_clearance, swing_profile
+from trajopt.terrain.swing_paths import swing_profile
 from trajopt.terrain.terrain import Terrain
 
 LEVEL = np.array(UP)
@@ -131,13 +131,10 @@ class SwingArc(NodeConstraint):
 
     made_for_schedule: ClassVar[bool] = True
 
-    height: float
+    height: NonNegative
     terrain: FlatGround | SmoothTerrain
     parts: Mapping[str, tuple[SwingPart, ...]]
     between_phases: bool = False
-
-    def __post_init__(self) -> None:
-        require_clearance(self.height)
 
     def _acting(self, phase: str) -> list[SwingPart]:
         return [part for part in self.parts.get(phase, ()) if part.begin > 0 or not self.between_phases]

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from trajopt.arguments import checked
+from trajopt.arguments import NonNegative, checked
 from trajopt.robot.contact import Contact
 from trajopt.robot.kinematics import contact_poses
 from trajopt.robot.robot import Robot
@@ -18,7 +18,7 @@ from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.smooth import SmoothTerrain
 from trajopt.terrain.surface import Surface
-from trajopt.terrain.swing_paths import crossing_of, require_clearance
+from trajopt.terrain.swing_paths import crossing_of
 from trajopt.terrain.terrain import Terrain
 
 # Number of samples along the guess's swing, to find where it passes an edge.
@@ -27,7 +27,7 @@ SAMPLES = 101
 
 @checked
 def swing_clearance(
-    robot: Robot, schedule: Schedule, terrain: Terrain, *, height: float, guess: Motion
+    robot: Robot, schedule: Schedule, terrain: Terrain, *, height: NonNegative, guess: Motion
 ) -> tuple[Term, ...]:
     """Terms that keep swinging contacts above any terrain: `SwingClearance`, or `SwingOver` if it has edges.
 
@@ -46,7 +46,6 @@ def swing_clearance(
     """
     if not isinstance(terrain, PiecewiseTerrain):
         return (SwingClearance(height=height, terrain=terrain),)
-    require_clearance(height)
     swings = tuple(_swings(robot, schedule, terrain, height, guess))
     terms = [SwingOver(height=height, swings=swings)] if swings else []
     if any(len(swing.parts) > 1 for swing in swings):

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal, get_args
+from typing import Literal
 
 import casadi as ca
 import numpy as np
@@ -15,7 +15,7 @@ from trajopt.arguments import checked
 from trajopt.dynamics.base_joint import BASE_ROWS
 from trajopt.dynamics.manifold import Joint
 from trajopt.dynamics.rotations import quaternion_product
-from trajopt.errors import InputError, shown
+from trajopt.errors import InputError
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.schedule.schedule import Motion, Schedule
@@ -23,7 +23,6 @@ from trajopt.terms.context import Context
 from trajopt.terms.interfaces import Cost
 
 Part = Literal["all", "joints", "base"]
-PARTS: tuple[Part, ...] = get_args(Part)
 
 # Motion clips are written with few digits: norms of their rotations are one within this.
 NORMALIZED = 1e-4
@@ -51,11 +50,6 @@ class TrackingCost(Cost):
 
     reference: Motion
     part: Part = "all"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.part not in PARTS:
-            raise InputError(f"part of {self.name} is {shown(self.part)}", f"allowed: {', '.join(PARTS)}")
 
     @override
     def residual(self, context: Context, units: Units) -> ca.SX:

@@ -13,13 +13,13 @@ from trajopt.terrain.piecewise import PiecewiseTerrain
 # The ground extends this far below the lowest face, m: deeper than any link.
 DEPTH = 5.0
 # Heights within this of each other are the same, m: rounding of corners far from the origin.
-SAME = 1e-6
+SAME_HEIGHT = 1e-6
 # A part of a footprint smaller than this is a crack between faces, m^2.
 CRACK_AREA = 1e-4
 # Number of terrains whose bodies are cached.
 MOST_TERRAINS = 32
 # Three points are collinear if twice the area of their triangle is below this times the extent squared.
-ON_LINE = 1e-12
+LINE_AREA = 1e-12
 # A half-plane of the (x, y) plane: inward (3,) @ p >= offset, with no part along z.
 _HalfPlane = tuple[np.ndarray, float]
 
@@ -58,7 +58,7 @@ def outline(points: np.ndarray) -> np.ndarray:
     Andrew's monotone chain: the lower side from left to right, then the upper side back.
     """
     order = np.lexsort((points[:, 1], points[:, 0])).tolist()
-    least = ON_LINE * float(np.ptp(points, axis=0).max(initial=0.0)) ** 2 if len(points) else 0.0
+    least = LINE_AREA * float(np.ptp(points, axis=0).max(initial=0.0)) ** 2 if len(points) else 0.0
     place = points.tolist()
     corners: list[int] = []
     for way in (order, order[::-1]):
@@ -133,19 +133,20 @@ def _below(keyed: _KeyedTerrain) -> tuple[ConvexGround, ...]:
     low = min(float(tops[:, 2].min()) for tops in grown) - DEPTH
     bodies: list[ConvexGround] = []
     for tops in grown:
-        body = ConvexGround(points=_extruded(tops, low))
+        body = ConvexGround(points=extruded(tops, low))
         if not any(_contains(other, body) for other in bodies):
             bodies = [other for other in bodies if not _contains(body, other)] + [body]
     return tuple(bodies)
 
 
-def _extruded(tops: np.ndarray, low: float) -> np.ndarray:
+def extruded(tops: np.ndarray, low: float) -> np.ndarray:
+    """Corners (2 k, 3) of the prism below a face with corners ``tops`` (k, 3), down to ``low`` m."""
     return np.concatenate([tops, np.column_stack([tops[:, :2], np.full(len(tops), low)])])
 
 
 def _contains(body: ConvexGround, other: ConvexGround) -> bool:
     normals, offsets = body.planes
-    return bool((other.points @ normals.T <= offsets + SAME).all())
+    return bool((other.points @ normals.T <= offsets + SAME_HEIGHT).all())
 
 
 def _grown(face: Patch, terrain: PiecewiseTerrain) -> np.ndarray:
@@ -158,7 +159,9 @@ def _grown(face: Patch, terrain: PiecewiseTerrain) -> np.ndarray:
         return corners
 
     tops, waiting = face.vertices, [other for other in terrain.faces if other is not face]
-    higher = [other for other in waiting if (other.vertices @ [*-slope[:2], 1.0] >= level - SAME).all()]
+    higher = [
+        other for other in waiting if (other.vertices @ [*-slope[:2], 1.0] >= level - SAME_HEIGHT).all()
+    ]
     # Usually all higher ground can be joined at once, as on stairs; otherwise one face after the other.
     joined = np.concatenate([tops, *(under(other) for other in higher)])
     touching = any(_touch(tops, other.vertices) for other in higher)
@@ -187,7 +190,7 @@ def _touch(first: np.ndarray, second: np.ndarray) -> bool:
     for polygon in (_from_above(first), _from_above(second)):
         for inward, _ in _edges(polygon):
             one, other = first @ inward, second @ inward
-            if one.max() < other.min() - SAME or other.max() < one.min() - SAME:
+            if one.max() < other.min() - SAME_HEIGHT or other.max() < one.min() - SAME_HEIGHT:
                 return False
     return True
 
@@ -206,11 +209,11 @@ def _edges(polygon: np.ndarray) -> list[_HalfPlane]:
 
 def _is_ground(tops: np.ndarray, terrain: PiecewiseTerrain) -> bool:
     """Whether everything below the hull of ``tops`` (k, 3) is below faces of the terrain."""
-    body = ConvexGround(points=_extruded(tops, float(tops[:, 2].min()) - 1.0))
+    body = ConvexGround(points=extruded(tops, float(tops[:, 2].min()) - 1.0))
     for normal, offset in zip(*body.planes, strict=True):
-        if normal[2] <= SAME:
+        if normal[2] <= SAME_HEIGHT:
             continue
-        on = body.points[body.points @ normal >= offset - SAME]
+        on = body.points[body.points @ normal >= offset - SAME_HEIGHT]
         if not _is_covered(_from_above(on), -normal / normal[2] * [1, 1, 0], offset / normal[2], terrain):
             return False
     return True
@@ -232,7 +235,7 @@ def _is_covered(polygon: np.ndarray, slope: np.ndarray, level: float, terrain: P
             above += 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
             continue
         its_slope, its_level = _height_of(near[count])
-        higher = (its_slope - slope, level - its_level - SAME)
+        higher = (its_slope - slope, level - its_level - SAME_HEIGHT)
         if (part @ higher[0] <= higher[1]).all():
             waiting.append((part, count + 1))
             continue

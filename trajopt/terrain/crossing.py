@@ -19,8 +19,8 @@ from trajopt.terrain.surface import SAME_PLANE, Surface
 
 # Horizontal parts of an edge's normal shorter than this have no direction.
 NO_DIRECTION = 1e-9
-# Distance kept from an edge beyond the radius: FROM_EDGE clearances, at most OF_WAY of the room there.
-FROM_EDGE, OF_WAY = 0.5, 0.5
+# Distance kept from an edge beyond the radius, in clearances, and its largest share of the room there.
+EDGE_ROOM, ROOM_SHARE = 0.5, 0.5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -42,7 +42,7 @@ class Edge:
     def kept_from(self, points: np.ndarray, clearance: float, radius: float) -> Edge:
         """The edge moved by a distance to keep from it, within that of a foot at ``points`` (n, 3) m."""
         room = max(float(self.distance(points).min()), 0.0)
-        keep = min(radius, room) + min(FROM_EDGE * clearance, OF_WAY * max(room - radius, 0.0))
+        keep = min(radius, room) + min(EDGE_ROOM * clearance, ROOM_SHARE * max(room - radius, 0.0))
         return replace(self, offset=self.offset + keep)
 
     def met_earlier(self, part: float) -> Edge:

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 from trajopt.arguments import NonNegative, Positive, checked
-from trajopt.errors import InputError, finite_array, numbers_of, require_positive, shown
+from trajopt.errors import InputError, numbers_of, shown
 from trajopt.terrain.surface import FARTHEST, MOST_CORNERS, SAME_PLANE, UP, Surface
 
 # Sine of the turn at a corner below which three corners are collinear (or turn the wrong way): rounding of
 # computed corners, far below any intended turn.
 STRAIGHT = 1e-9
 DESCRIBED = ("name", "surface", "vertices", "margin")
-PlanePoint = Sequence[float] | np.ndarray
+PlanePoint = tuple[float, float]
 
 
 @checked
@@ -76,7 +76,7 @@ class Patch:
     @checked
     def rectangle(
         cls,
-        centre: Sequence[float] | np.ndarray,
+        centre: tuple[float, float, float],
         size: tuple[Positive, Positive],
         *,
         yaw: float = 0.0,
@@ -94,11 +94,10 @@ class Patch:
             margin: see `Patch`, m.
             name: see `Patch`.
         """
-        middle = finite_array(f"centre of patch '{name}'", centre, unit="m")
         turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
         corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * np.array(size) / 2
-        vertices = middle + np.column_stack([corners @ turn.T, np.zeros(4)])
-        surface = Surface(point=middle, normal=np.array(UP), friction=friction)
+        vertices = np.array(centre) + np.column_stack([corners @ turn.T, np.zeros(4)])
+        surface = Surface(point=np.array(centre), normal=np.array(UP), friction=friction)
         return cls(surface=surface, vertices=vertices, margin=margin, name=name)
 
     @property
@@ -117,6 +116,14 @@ class Patch:
         points = self.vertices
         for inward, offset in zip(self.inward, self.offsets + self.margin, strict=True):
             points = cut_polygon(points, inward, offset)
+        return points
+
+    def within(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        """Corners (k, 3) of the part over a rectangle from ``low`` to ``high`` (x, y) m; k < 3 if none."""
+        points = self.vertices
+        for axis, inward in enumerate(np.eye(3)[:2]):
+            points = cut_polygon(points, inward, float(low[axis]))
+            points = cut_polygon(points, -inward, -float(high[axis]))
         return points
 
     def inside(self, position: np.ndarray) -> np.ndarray:
@@ -207,6 +214,7 @@ def _on_segment(point: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.asarray(a + s * along)
 
 
+@checked
 @dataclass(frozen=True)
 class ObstacleAxes:
     """Axes of an obstacle, origin (x, y) m and direction rad, with the friction and margin of its faces."""
@@ -218,15 +226,9 @@ class ObstacleAxes:
 
     def face(self, name: str, corners: Sequence[tuple[float, float, float]]) -> Patch:
         """A face with corners (x, y, z) in the obstacle's own axes."""
-        origin = np.array(self.at, dtype=float)
-        if origin.shape != (2,) or not np.isfinite([*origin, self.yaw]).all():
-            raise InputError(
-                f"an obstacle stands at {shown(self.at)} m, yaw {shown(self.yaw)}",
-                "allowed: two finite numbers and a yaw",
-            )
         c, s = math.cos(self.yaw), math.sin(self.yaw)
         turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        points = np.array(corners, dtype=float) @ turn.T + np.array([*origin, 0.0])
+        points = np.array(corners, dtype=float) @ turn.T + np.array([*self.at, 0.0])
         normal = np.cross(points[1] - points[0], points[3] - points[0])
         if np.ptp(points[:, 2]) == 0.0:
             normal = np.array(UP)
@@ -239,9 +241,3 @@ class ObstacleAxes:
         """A face over a rectangle in the obstacle's own axes, from height z[0] at x[0] to z[1] at x[1]."""
         corners = [(x[0], y[0], z[0]), (x[1], y[0], z[1]), (x[1], y[1], z[1]), (x[0], y[1], z[0])]
         return self.face(name, corners)
-
-
-def require_lengths(**lengths: float) -> None:
-    """Raise `InputError` for a length of an obstacle that is not finite and positive."""
-    for name, length in lengths.items():
-        require_positive(f"{name} of an obstacle", length, "m")

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from trajopt.arguments import checked
-from trajopt.errors import InputError, require_finite, shown
-from trajopt.terrain.patch import ObstacleAxes, Patch, PlanePoint, require_lengths
+from trajopt.arguments import Positive, PositiveCount, checked
+from trajopt.errors import InputError, shown
+from trajopt.terrain.patch import ObstacleAxes, Patch, PlanePoint
 from trajopt.terrain.surface import MOST_SHAPES, UP, Surface
 
 # Extent of the flats before and beyond an obstacle, m: farther than the motion of any plan.
@@ -158,9 +158,9 @@ class PiecewiseTerrain:
     def steps(
         cls,
         heights: Sequence[float],
-        run: float,
+        run: Positive,
         *,
-        width: float = 2 * REACH,
+        width: Positive = 2 * REACH,
         at: PlanePoint = (0.0, 0.0),
         yaw: float = 0.0,
         friction: float = 0.7,
@@ -177,7 +177,6 @@ class PiecewiseTerrain:
             friction: Coulomb's coefficient.
             margin: margin of each face, see `Patch`, m.
         """
-        require_lengths(run=run, width=width)
         levels = np.array(heights, dtype=float).ravel()
         if not len(levels) or not np.isfinite(levels).all():
             raise InputError(
@@ -195,9 +194,9 @@ class PiecewiseTerrain:
     def stairs(
         cls,
         rise: float,
-        run: float,
-        steps: int,
-        width: float = 2 * REACH,
+        run: Positive,
+        steps: PositiveCount,
+        width: Positive = 2 * REACH,
         *,
         at: PlanePoint = (0.0, 0.0),
         yaw: float = 0.0,
@@ -205,9 +204,6 @@ class PiecewiseTerrain:
         margin: float = 0.0,
     ) -> PiecewiseTerrain:
         """Stairs: ``steps`` risers of ``rise`` m (negative: down) and treads of ``run`` m, see `steps`."""
-        if isinstance(steps, bool) or not isinstance(steps, int) or steps < 1:
-            raise InputError(f"stairs have {shown(steps)} steps", "allowed: a whole number, at least 1")
-        require_finite("rise of stairs", rise, "m")
         heights = [rise * (i + 1) for i in range(steps)]
         return cls.steps(heights, run, width=width, at=at, yaw=yaw, friction=friction, margin=margin)
 
@@ -216,8 +212,8 @@ class PiecewiseTerrain:
     def box(
         cls,
         height: float,
-        length: float,
-        width: float,
+        length: Positive,
+        width: Positive,
         at: PlanePoint = (0.0, 0.0),
         *,
         yaw: float = 0.0,
@@ -238,8 +234,6 @@ class PiecewiseTerrain:
             friction: Coulomb's coefficient.
             margin: margin of each face, see `Patch`, m.
         """
-        require_lengths(length=length, width=width)
-        require_finite("height of a box", height, "m")
         place, a, b = ObstacleAxes(at, yaw, friction, margin), length / 2, width / 2
         far, ground = (-REACH, REACH), (0.0, 0.0)
         faces = (
@@ -255,7 +249,7 @@ class PiecewiseTerrain:
     @checked
     def gap(
         cls,
-        width: float,
+        width: Positive,
         *,
         height: float = 0.0,
         at: PlanePoint = (0.0, 0.0),
@@ -267,7 +261,6 @@ class PiecewiseTerrain:
 
         ``height`` is that of the ground beyond the hole above the ground before it, m.
         """
-        require_lengths(width=width)
         place = ObstacleAxes(at, yaw, friction, margin)
         side = (-REACH, REACH)
         faces = (
@@ -281,16 +274,15 @@ class PiecewiseTerrain:
     def slope(
         cls,
         rise: float,
-        length: float,
+        length: Positive,
         *,
-        width: float = 2 * REACH,
+        width: Positive = 2 * REACH,
         at: PlanePoint = (0.0, 0.0),
         yaw: float = 0.0,
         friction: float = 0.7,
         margin: float = 0.0,
     ) -> PiecewiseTerrain:
         """A ``slope`` that rises by ``rise`` m over ``length`` m, from ``at`` (x, y) m, between two flats."""
-        require_lengths(length=length, width=width)
         place, side = ObstacleAxes(at, yaw, friction, margin), (-width / 2, width / 2)
         faces = (
             place.rectangle("before", (-REACH, 0.0), side, (0.0, 0.0)),

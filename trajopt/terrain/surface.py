@@ -6,13 +6,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 
-from trajopt.arguments import NonNegative, Positive, checked
+from trajopt.arguments import Array3, NonNegative, Positive, checked
 from trajopt.errors import InputError, shown
-from trajopt.kinds import ArrayShape
 
 UP = (0.0, 0.0, 1.0)
 # Two surfaces are one plane within this distance, m, and this error of the normal: rounding of forward
@@ -62,8 +61,8 @@ class Surface:
         InputError: for a wrong shape, a normal without length, a number out of range.
     """
 
-    point: Annotated[np.ndarray, ArrayShape((3,))]
-    normal: Annotated[np.ndarray, ArrayShape((3,))]
+    point: Array3
+    normal: Array3
     friction: NonNegative = 0.7
     bilateral: bool = False
     slip_speed: Positive | None = None

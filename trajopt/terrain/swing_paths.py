@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from trajopt.arguments import checked
+from trajopt.arguments import NonNegative, checked
 from trajopt.errors import require_not_negative
 from trajopt.pickling import picklable
 from trajopt.terrain.crossing import Crossing, Edge, crossing
@@ -18,13 +18,13 @@ from trajopt.terrain.surface import Surface
 from trajopt.terrain.terrain import Terrain
 
 # Fractions of the swing time at which the foot has reached the top and at which it begins to descend.
-RISEN, SINKING = 0.35, 0.65
+RISE_END, DESCENT_START = 0.35, 0.65
 # Fraction of the way to an edge that the guess covers before it reaches the height of the top.
 BEFORE_EDGE = 0.8
-# Height of the guess's arc in clearances: it is above the clearance at all times between RISEN and SINKING.
+# Height of the guess's arc in clearances: it is above the clearance from RISE_END to DESCENT_START.
 OVER_CLEARANCE = 1.5
 # Number of swings whose ground is cached.
-KEPT = 1024
+CACHED_SWINGS = 1024
 
 SwingPath = Callable[[str, np.ndarray, np.ndarray, float], np.ndarray]
 
@@ -51,13 +51,16 @@ def smooth_step(s: float) -> float:
 
 
 # Inverse of the smooth step, as a table.
-TIMES = np.linspace(0.0, 1.0, 201)
-DONE = np.array([smooth_step(float(time)) for time in TIMES])
+STEP_TIMES = np.linspace(0.0, 1.0, 201)
+STEP_VALUES = np.array([smooth_step(float(time)) for time in STEP_TIMES])
 
 
 @checked
 def swing_path(
-    terrain: Terrain, clearance: float, reach: float = 0.0, radii: Mapping[str, float] = MappingProxyType({})
+    terrain: Terrain,
+    clearance: NonNegative,
+    reach: float = 0.0,
+    radii: Mapping[str, float] = MappingProxyType({}),
 ) -> SwingPath:
     """Path of a swinging foot over terrain, for `legged_guess`.
 
@@ -76,7 +79,6 @@ def swing_path(
     Raises:
         InputError: for a clearance that is negative or not finite.
     """
-    require_clearance(clearance)
     return _SwingPath(terrain=terrain, clearance=clearance, reach=reach, radii=radii)
 
 
@@ -99,7 +101,7 @@ class _SwingPath:
 
     @cached_property
     def _between(self) -> Callable[[tuple[float, ...], tuple[float, ...], float], Crossing]:
-        @lru_cache(maxsize=KEPT)
+        @lru_cache(maxsize=CACHED_SWINGS)
         def between(start: tuple[float, ...], end: tuple[float, ...], radius: float) -> Crossing:
             ends = np.array(start), np.array(end)
             ground = crossing_of(self.terrain, *ends).offset(radius, *ends)
@@ -135,14 +137,14 @@ def kept_outside(
 ) -> np.ndarray:
     """The position (3,) m on another path between the same ``ends``, moved out of the obstacle on the way.
 
-    Until `RISEN` it stays before the edge where the obstacle begins, and from `SINKING` on behind the edge
+    Until `RISE_END` it stays before the edge where the obstacle begins, after `DESCENT_START` behind the one
     where it ends; in between it is over the top, and sideways shifts fade. ``ground`` is raised by the
     contact's radius, and its edges include the distance to keep (`Edge.kept_from`).
     """
     if ground.top is None:
         return position
     arc = OVER_CLEARANCE * clearance * swing_profile(s)
-    fade = smooth_step((s - RISEN) / (SINKING - RISEN))
+    fade = smooth_step((s - RISE_END) / (DESCENT_START - RISE_END))
     moved = position.copy()
     moved[2] = max(moved[2], _over_top(ground.top, ends, s) + arc)
     for edge, part in ((ground.rise, 1 - fade), (ground.fall, fade)):
@@ -152,8 +154,8 @@ def kept_outside(
 
 
 def _over_top(top: float, ends: tuple[np.ndarray, np.ndarray], s: float) -> float:
-    """Height, m, of a path that is at ``top`` from `RISEN` to `SINKING`."""
-    up, down = smooth_step(s / RISEN), smooth_step((s - SINKING) / (1 - SINKING))
+    """Height, m, of a path that is at ``top`` from `RISE_END` to `DESCENT_START`."""
+    up, down = smooth_step(s / RISE_END), smooth_step((s - DESCENT_START) / (1 - DESCENT_START))
     low, high = min(ends[0][2], top), min(ends[1][2], top)
     return float(low + up * (top - low) + down * (high - top))
 
@@ -174,16 +176,16 @@ def _over(
 
 
 def _warped(ground: Crossing, s: float) -> float:
-    """Time of the horizontal motion, warped so that edges are passed between RISEN and SINKING."""
+    """Time of the horizontal motion, warped so that edges are passed between RISE_END and DESCENT_START."""
     begin, end = 0.0, 1.0
     rise, fall = _time_before(ground.rise), _time_before(ground.fall)
-    if rise is not None and rise < RISEN:
-        begin = (RISEN - rise) / (1 - rise)
-    if fall is not None and fall < 1 - SINKING:
-        end = 1 - (1 - SINKING - fall) / (1 - fall)
+    if rise is not None and rise < RISE_END:
+        begin = (RISE_END - rise) / (1 - rise)
+    if fall is not None and fall < 1 - DESCENT_START:
+        end = 1 - (1 - DESCENT_START - fall) / (1 - fall)
     return (s - begin) / (end - begin)
 
 
 def _time_before(edge: Edge | None) -> float | None:
     """Time at which a smooth step has covered BEFORE_EDGE of the way to an edge."""
-    return None if edge is None else float(np.interp(BEFORE_EDGE * edge.part, DONE, TIMES))
+    return None if edge is None else float(np.interp(BEFORE_EDGE * edge.part, STEP_VALUES, STEP_TIMES))

@@ -6,7 +6,6 @@ intervals where the error between points is large, or raises the degree of a pha
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,13 +13,15 @@ from typing import Any
 
 import numpy as np
 
+from trajopt.arguments import Positive, checked
 from trajopt.errors import InputError, shown
 from trajopt.transcription.schemes import Scheme, scheme
 
 # Tolerance on the sum of the widths, which equals one up to rounding.
-ONE = 1e-9
+SUM_ERROR = 1e-9
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class PhaseMesh:
     """A scheme by name, and the widths of a phase's intervals as fractions of its duration, in time order.
@@ -29,16 +30,14 @@ class PhaseMesh:
     """
 
     scheme: str
-    widths: tuple[float, ...]
+    widths: tuple[Positive, ...]
 
     def __post_init__(self) -> None:
         scheme(self.scheme)
-        widths = tuple(float(width) for width in self.widths)
-        if not widths or not all(math.isfinite(w) and w > 0 for w in widths) or abs(sum(widths) - 1) > ONE:
+        if abs(sum(self.widths) - 1) > SUM_ERROR:
             raise InputError(
-                f"widths of a phase's intervals are {_few(widths)}", "allowed: positive, 1 in sum"
+                f"widths of a phase's intervals are {shown(self.widths)}", "allowed: positive, 1 in sum"
             )
-        object.__setattr__(self, "widths", widths)
 
     @classmethod
     def uniform(cls, scheme: str, count: int) -> PhaseMesh:
@@ -89,6 +88,7 @@ class PhaseMesh:
         return cls(scheme=given["scheme"], widths=tuple(intervals))
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Mesh:
     """The mesh of every phase of a schedule, in time order."""
@@ -96,10 +96,8 @@ class Mesh:
     phases: tuple[PhaseMesh, ...]
 
     def __post_init__(self) -> None:
-        phases = tuple(self.phases)
-        if not phases or not all(isinstance(phase, PhaseMesh) for phase in phases):
-            raise InputError(f"phases of a mesh are {shown(phases)}", "allowed: a PhaseMesh for every phase")
-        object.__setattr__(self, "phases", phases)
+        if not self.phases:
+            raise InputError("a mesh has no phase", "allowed: a PhaseMesh for every phase")
 
     @classmethod
     def uniform(cls, transcription: str, counts: Sequence[int]) -> Mesh:
@@ -136,8 +134,3 @@ class Mesh:
 def equal_fractions(count: int) -> tuple[float, ...]:
     """Nodes of ``count`` equal intervals as fractions, from 0 to 1."""
     return tuple(i / count for i in range(count + 1))
-
-
-def _few(values: Sequence[float]) -> str:
-    shown = ", ".join(f"{value:g}" for value in values[:4])
-    return f"({shown}, ... {len(values)} of them)" if len(values) > 4 else f"({shown})"

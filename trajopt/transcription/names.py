@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 # Name of the block of variable bounds.
 BOUNDS = "bounds"
 # A row with many subjects is named by at most two variables that make up most of its squared gradient.
-MOST_UNKNOWNS, MOSTLY = 2, 0.8
+MOST_UNKNOWNS, MAIN_SHARE = 2, 0.8
 
 
 @dataclass(frozen=True, kw_only=True, order=True)
@@ -214,7 +214,7 @@ class NlpNames:
         largest = sorted(weights, key=lambda label: -weights[label])
         total = sum(weights.values())
         for count in range(1, MOST_UNKNOWNS + 1):
-            if sum(weights[label] for label in largest[:count]) >= MOSTLY * total > 0:
+            if sum(weights[label] for label in largest[:count]) >= MAIN_SHARE * total > 0:
                 return "mostly " + "; ".join(largest[:count])
         return ""
 
@@ -274,7 +274,7 @@ class NlpNames:
         for block, rows in blocks:
             if rows is not None and rows.expression.numel():
                 columns[block] += [names.row(entry) for entry in ca.vertsplit(rows.expression)]
-        return {block: _told_apart(subjects) for block, subjects in columns.items()}
+        return {block: _with_numbers(subjects) for block, subjects in columns.items()}
 
 
 def _put(names: list[tuple[Label, Site]], indices: np.ndarray, labels: Iterable[Label], site: Site) -> None:
@@ -288,7 +288,7 @@ def _wrenches(contacts: Iterable[Contact], linear: str, angular: str) -> list[La
     ]
 
 
-def _told_apart(subjects: list[str]) -> list[str]:
+def _with_numbers(subjects: list[str]) -> list[str]:
     count = Counter(subjects)
     numbers = {subject: itertools.count(1) for subject in count if subject and count[subject] > 1}
     return [f"{one} ({next(numbers[one])})" if one in numbers else one for one in subjects]

@@ -18,7 +18,7 @@ from trajopt.solution.interpolation import MotionSample, joined
 from trajopt.solution.solution import Solution
 
 # Number of times in each phase, including its ends, at which motions are compared.
-COMPARED = 101
+COMPARISON_TIMES = 101
 # Smallest divisor of relative differences of objectives, in natural units.
 LEAST_OBJECTIVE = 1e-9
 
@@ -109,7 +109,7 @@ def _touching(solution: Solution, phase: range) -> set[str]:
 
 
 def _phase(plan: Solution, reference: Solution, points: NamedPoints, phase: int) -> _Apart:
-    fractions = np.linspace(0.0, 1.0, COMPARED)
+    fractions = np.linspace(0.0, 1.0, COMPARISON_TIMES)
     planned, other = (_sampled(solution, phase, fractions) for solution in (plan, reference))
     state = np.zeros(4)
     for q, q_reference in zip(planned.q, other.q, strict=True):

@@ -22,8 +22,8 @@ from trajopt.motion.quantities import MotionQuantities
 
 # Number of quadrature points beyond those of the scheme.
 MORE_POINTS = 2
-# Limit of fixed-point iterations. They end if the final velocities change by less than the fraction SETTLED.
-MOST_SWEEPS, SETTLED = 6, 0.1
+# Limit of fixed-point iterations. They end if the final velocities change by less than this fraction.
+MOST_SWEEPS, SWEEP_CHANGE = 6, 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,7 +73,7 @@ def _collocated(
             )
             faster, moved = step * (once @ apart), step**2 * (twice @ apart)
             changed, ends = np.abs(faster[:, -1] - ends).max(), faster[:, -1]
-            if not changed > SETTLED * np.abs(ends).max():
+            if not changed > SWEEP_CHANGE * np.abs(ends).max():
                 break
             there = moved[:, :-1].reshape(len(q), -1)
             q = np.array([pin.integrate(plan.model, *row) for row in zip(sample.q, there, strict=True)])

@@ -1,8 +1,11 @@
 """Format accuracy as a table: one figure a line, the comparison with a reference, then the phases."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from trajopt.certify.accuracy.measures import Accuracy, PhaseAccuracy
+from trajopt.certify.report import MeasuredFigure
 
 # Text and unit of each figure.
 FIGURES = {
@@ -21,7 +24,7 @@ FIGURES = {
     "foot_drift": ("drift of active contacts between points", "m"),
     "violation_between": ("violation between points, natural units", "1"),
 }
-COMPARED = {
+COMPARISON_FIGURES = {
     "objective_gap": ("objective against the reference", "relative"),
     "distance": ("position from the reference's", "m"),
     "farthest": ("farthest-off point from the reference's", "m"),
@@ -33,23 +36,33 @@ COMPARED = {
 }
 
 
+def accuracy_figures(accuracy: Accuracy) -> list[MeasuredFigure]:
+    """Return the figures that were measured, without the comparison with a reference."""
+    return _known(accuracy, FIGURES)
+
+
 def accuracy_table(accuracy: Accuracy) -> str:
     """Return figures with units; None is left out, and nonzero violations are listed by name."""
-    lines = [_line(text, getattr(accuracy, name), unit) for name, (text, unit) in FIGURES.items()]
-    broken = {name: value for name, value in accuracy.violations.items() if value}
-    lines += [_line(f"  {name.replace('_', ' ')}", value, "1") for name, value in broken.items()]
+    figures = accuracy_figures(accuracy)
+    figures += [
+        MeasuredFigure(text=f"  {name.replace('_', ' ')}", value=value, unit="1")
+        for name, value in accuracy.violations.items()
+        if value
+    ]
     if accuracy.comparison is not None:
-        lines += [
-            _line(text, getattr(accuracy.comparison, name), unit) for name, (text, unit) in COMPARED.items()
-        ]
+        figures += _known(accuracy.comparison, COMPARISON_FIGURES)
     worst = int(np.argmax(accuracy.interval_errors))
+    lines = [figure.line(46) for figure in figures]
     lines.append(f"interval {worst} of {len(accuracy.interval_errors)} has the largest local error")
-    lines += [_phase(phase) for phase in accuracy.phases]
-    return "\n".join(line for line in lines if line)
+    return "\n".join([*lines, *(_phase(phase) for phase in accuracy.phases)])
 
 
-def _line(text: str, value: float | None, unit: str) -> str:
-    return "" if value is None else f"{text:46}{value:12.3e}  {unit}"
+def _known(measured: object, named: Mapping[str, tuple[str, str]]) -> list[MeasuredFigure]:
+    return [
+        MeasuredFigure(text=text, value=value, unit=unit)
+        for name, (text, unit) in named.items()
+        if (value := getattr(measured, name)) is not None
+    ]
 
 
 def _phase(phase: PhaseAccuracy) -> str:

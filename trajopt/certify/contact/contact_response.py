@@ -17,7 +17,7 @@ from trajopt.errors import InputError
 # error of exactly dependent rows (1e-15) and far below the effect of a useful lever arm.
 RANK_TOLERANCE = 1e-8
 # Smallest entry of the projector for dependent rows; coupled rows have entries of order one.
-COUPLED = 1e-6
+COUPLING = 1e-6
 # Smallest reciprocal condition number for which B^T B is solved directly, losing at most half the digits.
 # Below it, the singular values of B are used.
 WELL_CONDITIONED = 1e-8
@@ -154,7 +154,7 @@ def contact_rank(contacts: ContactSet, jacobian: np.ndarray, response: ContactRe
 
 def _dependencies(contacts: ContactSet, projector: np.ndarray) -> tuple[DependentContactRow, ...]:
     """Return the dependent rows: the blocks of the projector (n_rows, n_rows) onto internal wrenches."""
-    coupled = np.abs(projector) > COUPLED
+    coupled = np.abs(projector) > COUPLING
     owner = np.repeat(np.array(contacts.names, dtype=str), contacts.dimensions).tolist()
     remaining, dependent = set(np.flatnonzero(coupled.diagonal()).tolist()), []
     while remaining:

@@ -186,7 +186,7 @@ class Actuation:
         """Part of generalised forces (..., nv) that no input can produce, see `balance`."""
         return np.asarray(force[..., self.free] if self.is_selection else force @ self.balance.T)
 
-    def unmade(self, force: np.ndarray, inputs: np.ndarray) -> np.ndarray:
+    def residual_force(self, force: np.ndarray, inputs: np.ndarray) -> np.ndarray:
         """Residual (..., nv) of the generalised forces that inputs should produce; zero for mimic joints."""
         left = np.zeros(force.shape)
         left[..., self.leading] = (force - self.force(inputs)) @ self.independent

@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 
 from trajopt.arguments import NonNegative, Positive, UnboundedPositive, checked
-from trajopt.errors import InputError, require_positive, shown
+from trajopt.errors import InputError
 
 Quantity = TypeVar("Quantity", float, np.ndarray, ca.SX)
 
@@ -75,11 +75,11 @@ class Drive:
         cls,
         *,
         gear_ratio: float,
-        voltage: float,
-        resistance: float,
-        torque_constant: float,
-        back_emf_constant: float | None = None,
-        current_limit: float = math.inf,
+        voltage: Positive,
+        resistance: Positive,
+        torque_constant: Positive,
+        back_emf_constant: Positive | None = None,
+        current_limit: UnboundedPositive = math.inf,
         **others: float,
     ) -> Drive:
         """Drive of a motor with ``V = R i + k_e omega`` and ``tau_m = k_t i``, all on the motor side.
@@ -98,20 +98,11 @@ class Drive:
         Raises:
             InputError: for numbers not above zero.
         """
-        given = {
-            "voltage": voltage,
-            "resistance": resistance,
-            "torque_constant": torque_constant,
-            "back_emf_constant": torque_constant if back_emf_constant is None else back_emf_constant,
-        }
-        numbers = {name: _number(name, value) for name, value in given.items()}
-        for name, value in numbers.items():
-            require_positive(f"{name} of a motor", value)
         return cls(
             gear_ratio=gear_ratio,
-            torque_limit=numbers["torque_constant"] * _number("current_limit", current_limit),
-            stall_torque=numbers["torque_constant"] * numbers["voltage"] / numbers["resistance"],
-            no_load_speed=numbers["voltage"] / numbers["back_emf_constant"],
+            torque_limit=torque_constant * current_limit,
+            stall_torque=torque_constant * voltage / resistance,
+            no_load_speed=voltage / (torque_constant if back_emf_constant is None else back_emf_constant),
             **others,
         )
 
@@ -179,13 +170,3 @@ class Drive:
         voltage = 1 - np.abs(self.voltage_use(np.asarray(torque), np.asarray(rate)))
         current = 1 - np.abs(self.motor_torque(np.asarray(torque))) / self.torque_limit
         return np.minimum(voltage, current)
-
-
-def _number(name: str, value: Any) -> float:
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        raise InputError(f"{name} of a drive is {shown(value)}", "allowed: a number") from None
-    if math.isnan(number):
-        raise InputError(f"{name} of a drive is NaN", "allowed: a number")
-    return number

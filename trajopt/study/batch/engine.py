@@ -1,8 +1,7 @@
-"""The loop of a batch: submits cases once their starts are known, and writes their rows to the folder."""
+"""The engine of a batch: submits cases once their starts are known, and writes their rows to the folder."""
 
 from collections import deque
-from collections.abc import Callable, Collection, Iterator, Sequence
-from concurrent.futures import Executor
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,82 +9,45 @@ import numpy as np
 from trajopt.study.batch.records import BatchRecords
 from trajopt.study.batch.solved_case import BatchSettings, CaseResult, solve_case
 from trajopt.study.batch.variation import BatchCase
-from trajopt.study.runner import DONE, Ended, TimedCall, run_tasks
+from trajopt.study.tasks import DONE, TimedCall, Workers
 
 # Most attempts at a case whose process is lost.
 MOST_ATTEMPTS = 3
 
 
 def run_batch(
-    cases: Sequence[BatchCase],
-    settings: BatchSettings,
-    records: BatchRecords,
-    executor: Executor,
-    *,
-    window: Callable[[], int],
-    check: Callable[[], object] = bool,
-    show: Callable[[Collection[str]], object] = len,
+    cases: Sequence[BatchCase], settings: BatchSettings, records: BatchRecords, workers: Workers
 ) -> Iterator[dict[str, Any]]:
     """Solve all cases without a row, and yield their rows as they are written.
-
-    Takes all cases of the batch, their settings, the records of its folder, and arguments of `run_tasks`.
 
     Raises:
         InputError: if the executor breaks down, or a row cannot be written.
     """
-    queue = _Queue(cases, settings, records)
+    tree = StartTree(cases) if settings.neighbours else None
     starts: dict[int, int | None] = {}
+    waiting: deque[int] = deque()
+    # Cases by an ancestor that is not done. All ancestors count, not only the parent: a lost one is run again
+    # after its descendants.
+    held: dict[int, list[int]] = {}
+    for index in tree.order if tree else range(len(cases)):
+        if index not in records.solved:
+            above = tree.ancestors(index) if tree else []
+            missing = next((other for other in above if other not in records.solved), None)
+            queue = waiting if missing is None else held.setdefault(missing, [])
+            queue.append(index)
 
     def make(index: int) -> TimedCall:
-        start = starts[index] = queue.start(index)
+        above = tree.nearest(index) if tree else []
+        start = starts[index] = next((other for other in above if records.solved.get(other)), None)
         content = None if start is None else records.content(start)
         args = (cases[index], settings, content)
         return TimedCall(name=cases[index].name, limit=settings.longest, function=solve_case, args=args)
 
-    ended = run_tasks(
-        queue.waiting, make, executor, window=window, attempts=MOST_ATTEMPTS, check=check, show=show
-    )
-    for one in ended:
-        result = one.value if one.kind == DONE else _without(one)
-        yield records.add(one.key, result, start=starts[one.key], attempts=one.attempts)
-        queue.done(one.key)
-
-
-class _Queue:
-    """Cases whose ancestors are done, in the order of the tree."""
-
-    def __init__(self, cases: Sequence[BatchCase], settings: BatchSettings, records: BatchRecords) -> None:
-        self._solved = records.solved
-        self._tree = StartTree(cases) if settings.neighbours else None
-        self._children: dict[int, list[int]] = {}
-        self.waiting: deque[int] = deque()
-        for index in self._tree.order if self._tree else range(len(cases)):
-            if index in self._solved:
-                continue
-            # All ancestors count, not only the parent: a lost one is run again after its descendants.
-            above = self._tree.ancestors(index) if self._tree else []
-            missing = next((other for other in above if other not in self._solved), None)
-            if missing is None:
-                self.waiting.append(index)
-            else:
-                self._children.setdefault(missing, []).append(index)
-
-    def start(self, index: int) -> int | None:
-        """The case from whose solution a case starts; None for its default guess."""
-        above = self._tree.nearest(index) if self._tree else []
-        return next((other for other in above if self._solved.get(other)), None)
-
-    def done(self, index: int) -> None:
-        """Release the cases that wait for this one, which has its row."""
-        self.waiting.extend(self._children.pop(index, ()))
-
-
-def _without(ended: Ended[int]) -> CaseResult:
-    figures = {"success": False, "status": ended.kind, "detail": ended.detail}
-    return CaseResult(figures=figures, content=None)
-
-
-Words = tuple[tuple[str, str], ...]
+    for ended in workers.run(waiting, make, attempts=MOST_ATTEMPTS):
+        figures = {"success": False, "status": ended.kind, "detail": ended.detail}
+        result = ended.value if ended.kind == DONE else CaseResult(figures=figures, content=None)
+        yield records.add(ended.key, result, start=starts[ended.key], attempts=ended.attempts)
+        waiting.extend(held.pop(ended.key, ()))
 
 
 class StartTree:
@@ -143,11 +105,11 @@ class StartTree:
 
 
 def _groups(cases: Sequence[BatchCase]) -> list[list[int]]:
-    groups: dict[tuple[str, Words, tuple[str, ...]], list[int]] = {}
+    """Indices of the cases with the same problem, the same words and the same names of numbers."""
+    groups: dict[tuple[Any, ...], list[int]] = {}
     for index, case in enumerate(cases):
-        words = tuple((name, value) for name, value in sorted(case.values.items()) if isinstance(value, str))
-        numbers = tuple(name for name, value in sorted(case.values.items()) if not isinstance(value, str))
-        groups.setdefault((case.problem, words, numbers), []).append(index)
+        words = (value if isinstance(value, str) else None for _, value in sorted(case.values.items()))
+        groups.setdefault((case.problem, *sorted(case.values), *words), []).append(index)
     return list(groups.values())
 
 

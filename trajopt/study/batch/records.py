@@ -19,11 +19,11 @@ from trajopt.problem.catalogue import families
 from trajopt.problem.family import PLAIN_NAME, choose
 from trajopt.solution.file import write_bytes
 from trajopt.solution.output import replacing
-from trajopt.study.batch.columns import arrow, parameter_columns, row_of, schema
 from trajopt.study.batch.solved_case import BatchSettings, CaseResult
 from trajopt.study.batch.variation import BatchCase
-from trajopt.study.runner import LOST
-from trajopt.study.workers.records import JsonLines
+from trajopt.study.processes import LOST
+from trajopt.study.records import JsonLines, require_same
+from trajopt.versions import optional_package
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -35,7 +35,104 @@ JOURNAL_PART, LEAST_JOURNAL = 8, 100
 FILES_PER_FOLDER = 1000
 # Outcomes that are run again when a batch is resumed, since another attempt may succeed.
 NOT_SAVED = "not_saved"
-AGAIN = (LOST, NOT_SAVED)
+RERUN = (LOST, NOT_SAVED)
+# Part of the request -> what another batch has instead.
+DIFFERENCES = {
+    "cases": "other cases",
+    "settings": "other settings",
+    "versions": "other versions of the libraries",
+}
+# Columns of figures, with the names of their PyArrow types.
+FIGURES = {
+    "success": "bool_",
+    "status": "string",
+    "detail": "string",
+    "start": "int64",
+    "warm_start": "bool_",
+    "iterations": "int64",
+    "solver_time_s": "float64",
+    "case_time_s": "float64",
+    "objective": "float64",
+    "motion_time_s": "float64",
+    "energy_j": "float64",
+    "cost_of_transport": "float64",
+    "max_violation": "float64",
+    "tolerance_used": "float64",
+    "worst_figure": "string",
+    "variables": "int64",
+    "intervals": "int64",
+    "attempts": "int64",
+    "file": "string",
+}
+FIRST = ("case", "problem")
+
+
+class BatchRows:
+    """The rows of a batch: those of its index, and newer ones of its journal.
+
+    Raises `InputError` for a damaged index, or without PyArrow.
+    """
+
+    def __init__(self, folder: Path, cases: Sequence[BatchCase]) -> None:
+        self._cases, self.journal, self._index = cases, JsonLines(folder / JOURNAL), folder / INDEX
+        # The parameters, and whether each is a word in any case.
+        self._words: dict[str, bool] = {}
+        for case in cases:
+            for name, value in case.values.items():
+                self._words[name] = self._words.get(name, False) or isinstance(value, str)
+        # The journal first: rows that move to the index meanwhile are then in both instead of neither.
+        rows = self.journal.read()
+        self._old = self._read_index()
+        self._new = {row["case"]: row for row in rows if isinstance(row.get("case"), int)}
+
+    def table(self) -> pa.Table:
+        """All rows, by case."""
+        pyarrow, old = arrow(), self._old
+        fresh = pyarrow.Table.from_pylist([dict(row) for row in self._new.values()], schema=old.schema)
+        kept = old.filter(pyarrow.compute.invert(pyarrow.compute.is_in(old["case"], fresh["case"])))
+        return pyarrow.concat_tables([kept, fresh]).sort_by("case")
+
+    def add(self, index: int, figures: Mapping[str, Any]) -> dict[str, Any]:
+        """Append the row of a case to the journal; returns the row."""
+        case = self._cases[index]
+        values = {
+            column_of(name): str(value) if self._words[name] else float(value)
+            for name, value in case.values.items()
+        }
+        row = {"case": index, "problem": case.problem, **values, **figures}
+        self.journal.append(row)
+        self._new[index] = row
+        if len(self._new) >= max(LEAST_JOURNAL, self._old.num_rows // JOURNAL_PART):
+            with contextlib.suppress(InputError):  # a full disk: the journal has all rows
+                self.checkpoint()
+        return row
+
+    def checkpoint(self) -> None:
+        """Write all rows to the index and restart the journal. Raises `InputError` if that fails."""
+        if not self._new and self._index.exists():
+            return
+        table = self.table()
+        with replacing(self._index) as unfinished:
+            arrow().parquet.write_table(table, unfinished)
+        self._old, self._new = table, {}
+        self.journal.open(resume=False)
+
+    def _read_index(self) -> pa.Table:
+        pyarrow, index = arrow(), self._index
+        kinds = [("case", "int64"), ("problem", "string")]
+        kinds += [(column_of(name), "string" if word else "float64") for name, word in self._words.items()]
+        kinds += FIGURES.items()
+        wanted = pyarrow.schema([(name, getattr(pyarrow, kind)()) for name, kind in kinds])
+        if not index.exists():
+            return wanted.empty_table()
+        try:
+            table = pyarrow.parquet.read_table(index)
+        except (OSError, pyarrow.ArrowException) as error:
+            reason = str(error).splitlines()[0]
+            raise InputError(f"cannot read {index}: {reason}", "allowed: the index of a batch") from None
+        if not table.schema.equals(wanted):
+            raise InputError(f"{index} has other columns", "allowed: the index of this batch")
+        return table
 
 
 class BatchRecords:
@@ -63,21 +160,20 @@ class BatchRecords:
         *,
         resume: bool,
     ) -> None:
-        self.folder, self._cases = expanded(folder), cases
-        self._words = parameter_columns(cases)
-        self._schema = schema(self._words)
+        self.folder = expanded(folder)
         head = {
             "cases": [[case.problem, dict(case.values)] for case in cases],
             "settings": asdict(settings),
             "versions": dict(versions),
         }
+        arrow()  # refused before a folder is made
         self._begin(head, resume)
         self._lock = self._locked()
-        self._journal = JsonLines(self.folder / JOURNAL)
-        self._journal.open(resume=True)
-        self._index, self._new = read_rows(self.folder, self._schema)
+        self._rows = BatchRows(self.folder, cases)
+        self._rows.journal.open(resume=True)
+        columns = (self._rows.table()[name].to_pylist() for name in ("case", "success", "status"))
         self.solved: dict[int, bool] = {
-            case: bool(success) for case, success, status in _outcomes(self.table()) if status not in AGAIN
+            case: bool(success) for case, success, status in zip(*columns, strict=True) if status not in RERUN
         }
 
     def __enter__(self) -> BatchRecords:
@@ -85,11 +181,11 @@ class BatchRecords:
 
     def __exit__(self, *error: object) -> None:
         try:
-            self.checkpoint()
+            self._rows.checkpoint()
         except InputError as failed:
             journal = self.folder / JOURNAL
             raise InputError(
-                failed.what, f"all rows are kept in {journal}; free space, then --resume"
+                failed.what, f"all rows are kept in {journal}; free space, then `resume`"
             ) from None
         finally:
             self._lock.close()
@@ -111,33 +207,15 @@ class BatchRecords:
                 figures["file"] = solution_file(index)
             except (InputError, OSError) as error:
                 figures |= {"success": False, "status": NOT_SAVED, "detail": f"{error}"}
-        row = row_of(index, self._cases[index], figures, self._words)
         try:
-            self._journal.append(row)
+            row = self._rows.add(index, figures)
         except OSError as error:
             raise InputError(
                 f"cannot write {self.folder / JOURNAL}: {error.strerror}",
-                f"{len(self.solved)} cases are done and kept; free space, then --resume",
+                f"{len(self.solved)} cases are done and kept; free space, then `resume`",
             ) from None
-        self._new[index], self.solved[index] = row, bool(figures["success"])
-        if len(self._new) >= max(LEAST_JOURNAL, self._index.num_rows // JOURNAL_PART):
-            with contextlib.suppress(InputError):  # a full disk: the journal has all rows
-                self.checkpoint()
+        self.solved[index] = bool(figures["success"])
         return row
-
-    def checkpoint(self) -> None:
-        """Write all rows to the index and restart the journal. Raises `InputError` if that fails."""
-        if not self._new and (self.folder / INDEX).exists():
-            return
-        table = self.table()
-        with replacing(self.folder / INDEX) as unfinished:
-            arrow().parquet.write_table(table, unfinished)
-        self._index, self._new = table, {}
-        self._journal.open(resume=False)
-
-    def table(self) -> pa.Table:
-        """All rows, by case."""
-        return merged(self._index, self._new, self._schema)
 
     def content(self, index: int) -> bytes:
         """Content of a case's solution file. Raises `InputError` if it is missing."""
@@ -150,11 +228,11 @@ class BatchRecords:
     def _begin(self, head: dict[str, Any], resume: bool) -> None:
         request = self.folder / REQUEST
         if resume:
-            _require_same(self.folder, read_request(self.folder), json.loads(json.dumps(head)))
+            require_same(self.folder, "batch", read_request(self.folder), head, DIFFERENCES)
             return
         try:
             if self.folder.exists() and (not self.folder.is_dir() or any(self.folder.iterdir())):
-                allowed = "--resume, or another folder" if request.exists() else "a new or an empty folder"
+                allowed = "`resume`, or another folder" if request.exists() else "a new or an empty folder"
                 raise InputError(f"{self.folder} is there and not empty", f"allowed: {allowed}")
             self.folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -190,7 +268,7 @@ def read_request(folder: Path) -> dict[str, Any]:
         kinds = {"cases": list, "settings": dict, "versions": dict}
         wrong = next((name for name, kind in kinds.items() if not isinstance(head[name], kind)), None)
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        raise InputError(f"{folder} holds no batch", "allowed: the folder of trajopt batch --out") from None
+        raise InputError(f"{folder} holds no batch", "allowed: the folder of a batch") from None
     if wrong is not None:
         raise InputError(f"{wrong} in {place / REQUEST} is not a {kinds[wrong].__name__}")
     return dict(head)
@@ -223,7 +301,7 @@ def looked_up_cases(head: Mapping[str, Any]) -> list[BatchCase]:
         if robot is not None and Path(str(robot)).suffix and not PLAIN_NAME.fullmatch(str(robot)):
             raise InputError(
                 f"the batch names the robot {robot!r:.200}, and files that a folder names are not run",
-                "allowed: the command that began it, with --resume",
+                "allowed: the call that began it, with `resume`",
             )
     return cases
 
@@ -233,44 +311,13 @@ def _require_no_link(place: Path) -> None:
         raise InputError(f"{place} is a symbolic link", "allowed: files and folders of the batch itself")
 
 
-def read_rows(folder: Path, wanted: pa.Schema) -> tuple[pa.Table, dict[int, dict[str, Any]]]:
-    """The index, and the journal's rows by case. Raises `InputError` for a damaged index."""
-    pyarrow, index = arrow(), expanded(folder) / INDEX
-    # The journal first: rows that move to the index meanwhile are then in both instead of neither.
-    rows = JsonLines(expanded(folder) / JOURNAL).read()
-    table = wanted.empty_table()
-    if index.exists():
-        try:
-            table = pyarrow.parquet.read_table(index)
-        except (OSError, pyarrow.ArrowException) as error:
-            reason = str(error).splitlines()[0]
-            raise InputError(f"cannot read {index}: {reason}", "allowed: the index of a batch") from None
-        if not table.schema.equals(wanted):
-            raise InputError(f"{index} has other columns", "allowed: the index of this batch")
-    return table, {row["case"]: row for row in rows if isinstance(row.get("case"), int)}
+def arrow() -> Any:
+    """PyArrow with its Parquet module; if it is missing, raises an `InputError` that names the extra."""
+    for name in ("pyarrow.parquet", "pyarrow"):
+        package = optional_package(name, what="the index of a batch", extra="batch")
+    return package
 
 
-def merged(index: pa.Table, new: Mapping[int, Mapping[str, Any]], wanted: pa.Schema) -> pa.Table:
-    """The index with newer rows merged in, sorted by case."""
-    pyarrow = arrow()
-    fresh = pyarrow.Table.from_pylist([dict(row) for row in new.values()], schema=wanted)
-    old = index.filter(pyarrow.compute.invert(pyarrow.compute.is_in(index["case"], fresh["case"])))
-    return pyarrow.concat_tables([old, fresh]).sort_by("case")
-
-
-def _outcomes(table: pa.Table) -> zip[tuple[int, bool, str]]:
-    return zip(*(table[name].to_pylist() for name in ("case", "success", "status")), strict=True)
-
-
-def _require_same(folder: Path, known: Mapping[str, Any], head: Mapping[str, Any]) -> None:
-    words = {
-        "cases": "other cases",
-        "settings": "other settings",
-        "versions": "other versions of the libraries",
-    }
-    for name, text in words.items():
-        if known[name] != head[name]:
-            raise InputError(
-                f"{folder} holds a batch with {text}",
-                "allowed: the same command with --resume, or another folder",
-            )
+def column_of(name: str) -> str:
+    """The column of a parameter: its name, with a prefix if another column has it."""
+    return f"parameter_{name}" if name in FIGURES or name in FIRST else name

@@ -5,7 +5,9 @@ import math
 import re
 import sys
 import zlib
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,6 +26,8 @@ GRID_FORM = "allowed: NAME=FIRST:LAST:COUNT or NAME=A,B,..."
 SAMPLE_FORM = "allowed: NAME=DISTRIBUTION(A,B)"
 
 Draw = Callable[[np.random.Generator, Sequence[float]], float]
+# A parameter, and the values that it takes.
+Grid = tuple[str, tuple[float | str, ...]]
 
 
 def _loguniform(random: np.random.Generator, given: Sequence[float]) -> float:
@@ -53,14 +57,6 @@ class BatchCase:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Grid:
-    """A parameter that takes each of several values."""
-
-    name: str
-    values: tuple[float | str, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
 class Distribution:
     """A parameter drawn from one of `DISTRIBUTIONS` with these arguments."""
 
@@ -82,7 +78,7 @@ class Distribution:
                 return value
         text = f"{self.kind}({', '.join(f'{value:g}' for value in self.given)})"
         raise InputError(
-            f"--sample {self.name}={text} gives no value in {MOST_DRAWS} draws that is allowed",
+            f"`sample` {self.name}={text} gives no value in {MOST_DRAWS} draws that is allowed",
             f"allowed: {lower:g} to {upper:g} {self.parameter.unit}".rstrip(),
         )
 
@@ -121,22 +117,24 @@ def batch_cases(
     grids = [_grid(family, text) for text in vary]
     if robots:
         words = ",".join(robots)
-        grids.insert(0, _listed(family, "robot", words, f"--robots {words}"))
+        grids.insert(0, _listed(family, "robot", words, f"`robots` {words}"))
     drawn = [_distribution(family, text) for text in sample]
-    _require_once([*fixed, *(grid.name for grid in grids), *(one.name for one in drawn)])
+    names = [name for name, _ in grids]
+    for name, times in Counter([*fixed, *names, *(one.name for one in drawn)]).items():
+        if times > 1:
+            raise InputError(f"parameter '{name}' is given twice", "allowed: once, fixed, varied or sampled")
     if bool(drawn) != (count > 0):
         raise InputError(
-            f"--count is {count} with {len(drawn)} parameters to sample",
-            "allowed: --sample and --count together",
+            f"`count` is {count} with {len(drawn)} parameters to sample",
+            "allowed: `sample` and `count` together",
         )
-    total = math.prod(len(grid.values) for grid in grids) * (count or 1)
+    total = math.prod(len(values) for _, values in grids) * (count or 1)
     if total > MOST_CASES:
         raise InputError(f"the batch has {total} cases", f"allowed: up to {MOST_CASES}")
     samples = list(_samples(drawn, count, seed)) if drawn else [{}]
-    names = [grid.name for grid in grids]
     return [
         BatchCase(problem=problem, values={**fixed, **dict(zip(names, point, strict=True)), **drawn_values})
-        for point in itertools.product(*(grid.values for grid in grids))
+        for point in itertools.product(*(values for _, values in grids))
         for drawn_values in samples
     ]
 
@@ -162,58 +160,55 @@ def _samples(drawn: Sequence[Distribution], count: int, seed: int) -> Iterator[d
 
 
 def _grid(family: Family, text: str) -> Grid:
-    name, equals, rest = text.partition("=")
-    name = name.strip()
-    if not (name and equals and rest.strip()):
-        raise InputError(f"--vary '{text}' has the wrong form", GRID_FORM)
+    where = f"`vary` '{text}'"
+    name, _, rest = (part.strip() for part in text.partition("="))
     parts = rest.split(":")
-    if len(parts) == 1:
-        return _listed(family, name, rest, f"--vary '{text}'")
+    if name and rest and len(parts) == 1:
+        return _listed(family, name, rest, where)
     counted = len(parts) == 3 and re.fullmatch(r"\s*[0-9]{1,9}\s*", parts[2])
-    if not counted or not 1 <= int(parts[2]) <= MOST_CASES:
-        raise InputError(f"--vary '{text}' has the wrong form", GRID_FORM)
-    _require_number(family, name, f"--vary '{text}'", "allowed: NAME=A,B,...")
+    if not (name and counted and 1 <= int(parts[2]) <= MOST_CASES):
+        raise InputError(f"{where} has the wrong form", GRID_FORM)
+    _require_number(family, name, where, "allowed: NAME=A,B,...")
     first, last = (float(family.parameter(name).parse(part)) for part in parts[:2])
     spaced = np.linspace(first, last, int(parts[2])).tolist()
     if len(spaced) == 1 and first != last:
-        raise InputError(f"--vary '{text}' has one value, and two ends", "allowed: COUNT of two or more")
+        raise InputError(f"{where} has one value, and two ends", "allowed: COUNT of two or more")
     if len(set(spaced)) < len(spaced):
-        raise InputError(f"--vary '{text}' has a value twice", "allowed: FIRST and LAST apart")
-    return Grid(name=name, values=tuple(spaced))
+        raise InputError(f"{where} has a value twice", "allowed: FIRST and LAST apart")
+    return name, tuple(spaced)
 
 
 def _listed(family: Family, name: str, words: str, where: str) -> Grid:
     values = tuple(family.parameter(name).parse(word.strip()) for word in words.split(","))
     if len(set(values)) < len(values):
         raise InputError(f"{where} has a value twice", "allowed: different values")
-    return Grid(name=name, values=values)
+    return name, values
 
 
 def _distribution(family: Family, text: str) -> Distribution:
+    where = f"`sample` '{text}'"
     match = re.fullmatch(r"\s*(\w+)\s*=\s*(\w+)\s*\(([^()]*)\)\s*", text)
     if not match:
-        raise InputError(f"--sample '{text}' has the wrong form", SAMPLE_FORM)
+        raise InputError(f"{where} has the wrong form", SAMPLE_FORM)
     name, kind, rest = match.groups()
     if kind not in DISTRIBUTIONS:
-        raise not_among(DISTRIBUTIONS, kind, f"--sample '{text}' has no distribution '{kind}'")
-    parameter = _require_number(family, name, f"--sample '{text}'", "allowed: a parameter that is a number")
+        raise not_among(DISTRIBUTIONS, kind, f"{where} has no distribution '{kind}'")
+    parameter = _require_number(family, name, where, "allowed: a parameter that is a number")
     wanted = DISTRIBUTIONS[kind][0]
     # A mean or deviation may be outside the parameter's range; draws may not.
     free = replace(parameter, lower=-LARGEST, upper=LARGEST)
-    try:
+    given: tuple[float, ...] = ()
+    with suppress(InputError):
         given = tuple(free.parse(word) for word in rest.split(","))
-    except InputError:
-        given = ()
     if len(given) != len(wanted):
-        raise InputError(f"--sample '{text}' has the wrong form", f"allowed: {kind}({','.join(wanted)})")
-    if kind == "normal":
-        if given[1] <= 0:
-            raise InputError(f"the deviation of --sample '{text}' is {given[1]:g}", "allowed: > 0")
-        return Distribution(parameter=parameter, kind=kind, given=given)
-    low, high = (float(parameter.parse(value)) for value in given)
-    if not low < high or (kind == "loguniform" and low <= 0):
-        least = "0 < low < high" if kind == "loguniform" else "low < high"
-        raise InputError(f"the range of --sample '{text}' is empty", f"allowed: {least}")
+        raise InputError(f"{where} has the wrong form", f"allowed: {kind}({','.join(wanted)})")
+    if kind == "normal" and given[1] <= 0:
+        raise InputError(f"the deviation of {where} is {given[1]:g}", "allowed: > 0")
+    if kind != "normal":
+        low, high = (float(parameter.parse(value)) for value in given)
+        if not low < high or (kind == "loguniform" and low <= 0):
+            least = "0 < low < high" if kind == "loguniform" else "low < high"
+            raise InputError(f"the range of {where} is empty", f"allowed: {least}")
     return Distribution(parameter=parameter, kind=kind, given=given)
 
 
@@ -222,12 +217,6 @@ def _require_number(family: Family, name: str, where: str, allowed: str) -> Para
     if not isinstance(parameter, Parameter):
         raise InputError(f"{where}: parameter {name} is no number", allowed)
     return parameter
-
-
-def _require_once(names: Sequence[str]) -> None:
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError(f"parameter '{name}' is given twice", "allowed: once, fixed, varied or sampled")
 
 
 def _shown(value: float | str) -> str:

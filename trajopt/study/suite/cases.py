@@ -57,7 +57,14 @@ def select(
     one. A robot that no family lists is paired with the families that take a robot and list one of its kind.
     Raises InputError for a pattern or a robot that matches nothing, and if no pair is left.
     """
-    wanted = _fitting(families, problems)
+    for pattern in problems:
+        if not any(fnmatchcase(name, pattern) for name in families):
+            raise not_among(sorted(families), pattern, f"problem '{pattern}' is unknown")
+    wanted = {
+        name: family
+        for name, family in families.items()
+        if not problems or any(fnmatchcase(name, pattern) for pattern in problems)
+    }
     known = {case.robot for case in all_cases(families)}
     chosen = {case for case in all_cases(wanted) if not robots or case.robot in robots}
     for robot in robots:
@@ -66,20 +73,9 @@ def select(
     if not chosen:
         raise InputError(
             f"no problem of {', '.join(problems) or 'all'} is run on {', '.join(robots)}",
-            "allowed: pairs of trajopt bench suite --list",
+            "allowed: the pairs of trajopt bench suite `list`",
         )
     return tuple(sorted(chosen))
-
-
-def _fitting(families: Mapping[str, Family], patterns: Sequence[str]) -> dict[str, Family]:
-    for pattern in patterns:
-        if not any(fnmatchcase(name, pattern) for name in families):
-            raise not_among(sorted(families), pattern, f"problem '{pattern}' is unknown")
-    return {
-        name: family
-        for name, family in families.items()
-        if not patterns or any(fnmatchcase(name, pattern) for pattern in patterns)
-    }
 
 
 def _unnamed(robot: str, families: Mapping[str, Family], known: Iterable[str]) -> set[Case]:

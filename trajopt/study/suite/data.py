@@ -19,17 +19,16 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import TypeGuard, get_type_hints
+from typing import get_type_hints
 
 from trajopt.errors import InputError
 from trajopt.solution.output import replacing
-from trajopt.solving.refinement import SETTLED
+from trajopt.solving.refinement import OBJECTIVE_CHANGE
 from trajopt.study.suite.cases import Pair
-from trajopt.study.suite.outcome import Outcome, quantile
-from trajopt.study.suite.physics import WORDS, Physics, in_words
-from trajopt.study.suite.settings import SuiteSettings
+from trajopt.study.suite.outcome import WORDS, Outcome, in_words, quantile
+from trajopt.study.suite.run import SuiteSettings
 
-OBJECTIVE_BAND = SETTLED
+OBJECTIVE_BAND = OBJECTIVE_CHANGE
 FEWEST, MOST = 0.5, 2.0
 LEAST_MARGIN = 5
 # Significant digits of written objectives: far finer than the band.
@@ -102,16 +101,10 @@ def deviation(outcome: Outcome, settings: SuiteSettings, entry: PairBands | None
         parts.append(
             f"{outcome.own.iterations} iterations, band {entry.iterations_low} to {entry.iterations_high}"
         )
-    if _worse(outcome.physics, entry.physics):
+    ranks = ("", *WORDS)
+    if outcome.physics is not None and ranks.index(outcome.physics.word) < ranks.index(entry.physics):
         parts.append(f"{in_words(outcome.physics)}, the data say {entry.physics}")
     return "; ".join(parts)
-
-
-def _worse(physics: Physics | None, word: str) -> TypeGuard[Physics]:
-    """Whether a plan's result in simulation is worse than its line; False if it is not simulated."""
-    if physics is None or not word:
-        return False
-    return not physics.word or WORDS.index(physics.word) < WORDS.index(word)
 
 
 def _mesh(settings: SuiteSettings) -> str:
@@ -152,7 +145,7 @@ def read(path: Path) -> tuple[dict[str, PairBands], dict[str, str]]:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "not text"
-        raise InputError(f"cannot read {path}: {reason}", "allowed: a file that --update wrote") from None
+        raise InputError(f"cannot read {path}: {reason}", "allowed: a file that `update` wrote") from None
     heads = (line[1:].partition(":") for line in lines if line.startswith("#"))
     versions = {name.strip(): value.strip() for name, colon, value in heads if colon}
     table = (re.sub(r"\s*,\s*", ",", line.strip()) for line in lines if not line.startswith("#"))
@@ -161,7 +154,7 @@ def read(path: Path) -> tuple[dict[str, PairBands], dict[str, str]]:
     if set(lacking) - {"physics"}:
         raise InputError(
             f"{path} has no table of bands: column {lacking[0]} is missing",
-            "allowed: a file that --update wrote",
+            "allowed: a file that `update` wrote",
         )
     kinds = get_type_hints(PairBands)
     entries = [_entry(path, number, row, kinds) for number, row in enumerate(rows, 1)]

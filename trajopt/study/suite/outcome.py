@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 import statistics
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
-from trajopt.study.suite.cases import Case, Pair
-from trajopt.study.suite.failure import ERROR, SOLVED
+from trajopt.study.solves import ERROR, SOLVED
+from trajopt.study.suite.cases import Pair
 from trajopt.study.suite.optima import counted
-from trajopt.study.suite.physics import Physics
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +49,36 @@ class Attempt:
     def solved(self) -> bool:
         """Whether the motion has the grade."""
         return self.mode == SOLVED
+
+
+# From worst to best; a plan that was not simulated has no word.
+FELL, OFF, TRACKED = "fell", "off", "tracked"
+WORDS = (FELL, OFF, TRACKED)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Physics:
+    """A simulated plan: ``tracked``, ``off`` (it stands, but not where it should) or ``fell``; else empty.
+
+    base_error_end, base_error_max: m. slips: stances that slid; missed: touchdowns that never came. detail:
+    exceeded thresholds, or why there is no simulation.
+    """
+
+    word: str = ""
+    base_error_end: float | None = None
+    base_error_max: float | None = None
+    slips: int | None = None
+    missed: int | None = None
+    detail: str = ""
+
+
+def in_words(physics: Physics) -> str:
+    """A simulation result in a few words."""
+    if not physics.word:
+        return physics.detail
+    off = physics.base_error_end
+    end = "" if off is None else f", base {1e3 * off:.0f} mm off at the end"
+    return f"{physics.word} in physics{end}" + (f" ({physics.detail})" if physics.detail else "")
 
 
 # Parts of a pair's result other than its perturbed starts, by the event that reports them.
@@ -102,6 +131,18 @@ class Outcome(Pair):
         """The failure in words."""
         return self.error if self.own is None else self.own.detail
 
+    def with_event(self, event: Mapping[str, Any]) -> Outcome:
+        """The result with a part that has ended: ``own``, ``physics`` or a ``start``; others are ignored."""
+        kind = event["event"]
+        if kind == "start":
+            return self.with_start(Attempt(**event["values"]))
+        return replace(self, **{kind: PARTS[kind](**event["values"])}) if kind in PARTS else self
+
+    def with_start(self, start: Attempt) -> Outcome:
+        """The result with a perturbed start, in the order of seeds."""
+        others = [other for other in self.starts if other.seed != start.seed]
+        return replace(self, starts=tuple(sorted([*others, start], key=lambda one: one.seed or 0)))
+
     def perturbed(self) -> Starts:
         """Figures over the perturbed starts."""
         solved = [attempt for attempt in self.starts if attempt.solved]
@@ -137,31 +178,3 @@ class Outcome(Pair):
 def quantile(ordered: Sequence[int], part: float) -> int:
     """The least of ``ordered`` that at least a fraction ``part`` of them does not exceed."""
     return ordered[max(0, math.ceil(part * len(ordered)) - 1)]
-
-
-class Ledger:
-    """Collects the events of a pair into an `Outcome`."""
-
-    def __init__(self, case: Case) -> None:
-        self.case = case
-        self.parts: dict[str, Any] = {}
-        self.starts: dict[int | None, Attempt] = {}
-
-    def add(self, event: Mapping[str, Any]) -> None:
-        """Take one event of `trajopt.study.suite.pool`; other kinds are ignored."""
-        kind = event["event"]
-        if kind == "start":
-            start = Attempt(**event["values"])
-            self.starts[start.seed] = start
-        elif kind in PARTS:
-            self.parts[kind] = PARTS[kind](**event["values"])
-
-    def outcome(self, total_time: float) -> Outcome:
-        """The result so far."""
-        return Outcome(
-            problem=self.case.problem,
-            robot=self.case.robot,
-            starts=tuple(sorted(self.starts.values(), key=lambda start: start.seed or 0)),
-            total_time=total_time,
-            **self.parts,
-        )

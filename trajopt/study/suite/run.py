@@ -1,22 +1,62 @@
 """Tasks of a pair: a solve to the grade from its default guess or a perturbed start, and a simulation."""
 
+import math
 import time
+from dataclasses import dataclass
 from typing import Any
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, TrajoptError
 from trajopt.problem.catalogue import families
 from trajopt.problem.family import choose
 from trajopt.simulation.settings import Controller
 from trajopt.solution.grid import mesh_of
 from trajopt.solution.solution import Solution
-from trajopt.solving.graded import solve
 from trajopt.solving.ladder import total_effort
+from trajopt.solving.solving import check_settings
+from trajopt.study.solves import MOST_STARTS, SolveSettings, failure_text, file_content, mode_of
 from trajopt.study.suite.cases import Case
-from trajopt.study.suite.failure import failure_text, mode_of
 from trajopt.study.suite.optima import described
-from trajopt.study.suite.outcome import Attempt, Outcome
-from trajopt.study.suite.physics import Physics, simulated
-from trajopt.study.suite.settings import SuiteSettings
+from trajopt.study.suite.outcome import FELL, OFF, TRACKED, Attempt, Outcome, Physics
+
+# Noise on the guess: a tenth of the natural units, that is of a leg's length or half a dozen degrees.
+DEFAULT_SIGMA = 0.1
+# Time limit of a solve, s: several times the library's longest solve on one core.
+DEFAULT_MAX_TIME = 300.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class SuiteSettings(SolveSettings):
+    """How all pairs of a suite are solved. Raises `InputError` for invalid values.
+
+    Args:
+        max_time: for a solve with all its meshes, s.
+        perturbed: number of perturbed starts, with seeds from 0.
+        sigma: standard deviation of their noise, scaled units.
+        simulate: also run solved plans of legged robots in MuJoCo.
+        fixed_mesh: solve once, on the problem's mesh.
+        controller: of the simulations.
+    """
+
+    max_time: float = DEFAULT_MAX_TIME
+    perturbed: int = 0
+    sigma: float = DEFAULT_SIGMA
+    simulate: bool = False
+    fixed_mesh: bool = False
+    controller: Controller = "joints"
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.perturbed <= MOST_STARTS:
+            raise InputError(f"perturbed is {self.perturbed}", f"allowed: 0 to {MOST_STARTS}")
+        if not (math.isfinite(self.sigma) and self.sigma > 0):
+            raise InputError(f"sigma is {self.sigma:g}", "allowed: > 0")
+        if self.controller != "joints" and not self.simulate:
+            raise InputError("`controller` has no effect here", "allowed: with `simulate`")
+        check_settings(self.solver, self.tolerance, self.max_iterations, self.max_time, self.sigma, 0)
+
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        """Seeds of the perturbed starts."""
+        return tuple(range(self.perturbed))
 
 
 def solve_start(case: Case, settings: SuiteSettings, seed: int | None) -> tuple[Attempt, bytes | None, float]:
@@ -32,27 +72,35 @@ def solve_start(case: Case, settings: SuiteSettings, seed: int | None) -> tuple[
     begin = time.perf_counter()
     problem = choose(families(), case.problem).load(case.values)
     noise: dict[str, Any] = {} if seed is None else {"seed": seed, "perturb": settings.sigma}
-    solution = solve(
-        problem,
-        fixed_mesh=settings.fixed_mesh,
-        solver=settings.solver,
-        tolerance=settings.tolerance,
-        max_iterations=settings.max_iterations,
-        max_time=settings.max_time,
-        **noise,
-    )
+    solution = settings.solve(problem, fixed_mesh=settings.fixed_mesh, **noise)
     result = attempt(solution, seed, problem.robot.base != "fixed")
-    content = _content(solution) if seed is None else None
+    content = file_content(solution) if seed is None else None
     return result, content, time.perf_counter() - begin
 
 
 def simulate_plan(plan: bytes, controller: Controller) -> tuple[Physics, bytes | None, float]:
     """Simulate a plan; returns the result, the file content of the simulated motion, and the time in s."""
+    from trajopt.simulation.simulate import simulate
+
     begin, solution = time.perf_counter(), Solution.from_bytes(plan)
     if not solution.converged:
         return Physics(), None, 0.0
-    physics, motion = simulated(solution, controller)
-    return physics, None if motion is None else _content(motion), time.perf_counter() - begin
+    try:
+        simulation = simulate(solution, controller=controller)
+        content = file_content(simulation.as_solution())
+    except (TrajoptError, ArithmeticError, ValueError) as error:
+        reason = f"cannot be simulated: {' '.join(str(error).split())}"
+        return Physics(detail=reason), None, time.perf_counter() - begin
+    report = simulation.report
+    physics = Physics(
+        word=FELL if report.fell else TRACKED if report.passed else OFF,
+        base_error_end=report.base_error_end,
+        base_error_max=report.base_error_max,
+        slips=report.slips,
+        missed=report.missed,
+        detail="; ".join(report.failures),
+    )
+    return physics, content, time.perf_counter() - begin
 
 
 def measure_case(case: Case, settings: SuiteSettings) -> Outcome:
@@ -100,10 +148,3 @@ def attempt(solution: Solution, seed: int | None, legged: bool) -> Attempt:
         used=statistics.tolerance_used,
         motion="" if mode else described(solution),
     )
-
-
-def _content(solution: Solution) -> bytes | None:
-    try:
-        return solution.to_bytes()
-    except InputError:  # an iterate that is not finite
-        return None

@@ -8,10 +8,9 @@ from typing import Any
 
 from rich.table import Table
 
-from trajopt.study.suite.outcome import Outcome
-from trajopt.study.suite.physics import WORDS, in_words
-from trajopt.study.suite.settings import SuiteSettings
-from trajopt.study.workers.display import figure_table
+from trajopt.study.display import figure_table
+from trajopt.study.suite.outcome import WORDS, Outcome, in_words
+from trajopt.study.suite.run import SuiteSettings
 
 # Least width of a table that names the check's worst figures.
 NAMED_WIDTH = 140

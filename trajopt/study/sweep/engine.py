@@ -5,23 +5,25 @@ repeated at the end of the queue, at most `RETRIES` times.
 """
 
 import math
+import os
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, replace
+from pathlib import Path
 from typing import Any, TypeVar
 
+from trajopt.errors import InputError
 from trajopt.problem.catalogue import problem_modules
 from trajopt.solving.time_limits import GRACE
-from trajopt.study.runner import DONE, LOST, NOT_RUN, REFUSED, Ended, NotRunError, TimedCall, run_tasks
-from trajopt.study.sweep.figures import figures
+from trajopt.study.display import TaskDisplay
+from trajopt.study.processes import LOST, REFUSED, ProcessPerTaskExecutor
 from trajopt.study.sweep.plan import SweepPlan
-from trajopt.study.sweep.records import SweepRecords, SweepRequest
-from trajopt.study.sweep.result import NOT_COMPILED, Job, TimedRun
-from trajopt.study.sweep.run import calibrations, compiled, run_job, solve_reference
+from trajopt.study.sweep.records import NOT_COMPILED, Job, SweepRecords, SweepRequest, TimedRun
+from trajopt.study.sweep.run import calibrations, compiled, figures, run_job, solve_reference
 from trajopt.study.sweep.summary import median_run
-from trajopt.study.workers.display import TaskDisplay
-from trajopt.study.workers.executor import ProcessPerTaskExecutor
+from trajopt.study.tasks import DONE, NOT_RUN, Ended, NotRunError, TimedCall, Workers
 
 # A run is disturbed if its calibration exceeds this multiple of the fastest; on an idle machine they vary by
 # a few per cent (docs/front.md).
@@ -30,7 +32,7 @@ DISTURBED_LOAD = 1.15
 LEAST_SHARE = 0.95
 RETRIES = 2
 # Most repeated runs, as a fraction of the plan: on a machine that is never quiet they gain nothing.
-MOST_AGAIN = 0.25
+MOST_REPEATS = 0.25
 # After this many lost processes a setting is not run again.
 MOST_LOST = 2
 # Time limit for measuring one solution, s.
@@ -41,14 +43,20 @@ LEAST_SECONDS = 0.3
 CALIBRATIONS = 20
 # Modules loaded before the runs begin; the last would otherwise be loaded by the first re-integration.
 MODULES = ("trajopt.study.sweep.engine", "scipy.integrate")
+TOPOLOGY = "/sys/devices/system/cpu/cpu{}/topology/thread_siblings_list"
 Key = TypeVar("Key")
 
 
 class Sweep:
     """One sweep, run step by step; results go to ``records`` at once.
 
-    cores: processors of the timed processes. check: called several times a second while tasks run; an
-    exception from it ends the sweep.
+    Args:
+        request: what is swept.
+        plan: its settings.
+        records: its folder.
+        cores: processors of the timed processes.
+        display: shows what runs.
+        checks: called several times a second while tasks run; an exception from one ends the sweep.
     """
 
     def __init__(
@@ -58,44 +66,43 @@ class Sweep:
         records: SweepRecords,
         cores: Sequence[int],
         display: TaskDisplay,
-        check: Callable[[], object] = bool,
+        checks: tuple[Callable[[], object], ...] = (),
     ) -> None:
-        self._check = check
+        self._checks = checks
         self._request, self._plan, self._records = request, plan, records
         self._cores, self._display = cores, display
         self._settings = {setting.name: setting for setting in plan.settings}
         self._labels = {name: setting.label(plan.base) for name, setting in self._settings.items()}
         self._lost: Counter[str] = Counter()
         self._given_up: set[str] = set()
-        self._told = False
+        self._estimated = False
         repeated = sum(run.attempt > 0 for run in records.results.runs.values())
-        self._again = math.ceil(MOST_AGAIN * len(plan.settings) * len(request.starts)) - repeated
+        self._repeats = math.ceil(MOST_REPEATS * len(plan.settings) * len(request.starts)) - repeated
 
     def run(self) -> None:
         """Run everything that is not recorded yet; functions are compiled first."""
-        with self._tasks(1) as self._executor:
+        with self._open_workers(1) as self._workers:
             self._compile()
-        with self._tasks(len(self._cores), self._cores) as self._executor:
-            self._calibrate()
+        with self._open_workers(len(self._cores), self._cores) as self._workers:
+            if not self._records.results.calibrations:
+                values = self._values("fixed load", GRACE, calibrations, CALIBRATIONS)
+                self._records.add(calibrations=values.get("seconds", []))
+                self._display.finished()
             self._runs()
             if self._request.reference_time > 0:
                 self._reference()
             self._accuracy()
 
-    def _tasks(self, jobs: int, cores: Sequence[int] = ()) -> ProcessPerTaskExecutor:
-        return ProcessPerTaskExecutor(jobs, cores=cores, preload=(*problem_modules(), *MODULES))
+    @contextmanager
+    def _open_workers(self, jobs: int, cores: Sequence[int] = ()) -> Iterator[Workers]:
+        modules = (*problem_modules(), *MODULES)
+        with ProcessPerTaskExecutor(jobs, cores=cores, preload=modules) as executor:
+            show = self._display.show
+            yield Workers(executor=executor, window=lambda: jobs, checks=self._checks, show=show)
 
     def _each(self, waiting: deque[Key], make: Callable[[Key], TimedCall]) -> Iterator[Ended[Key]]:
-        """Run tasks, as many at a time as there are cores."""
         self._display.more(len(waiting))
-        return run_tasks(
-            waiting,
-            make,
-            self._executor,
-            window=lambda: len(self._cores),
-            check=self._check,
-            show=self._display.show,
-        )
+        return self._workers.run(waiting, make)
 
     def _values(self, name: str, limit: float, function: Callable[..., Any], *args: Any) -> dict[str, Any]:
         """Run one task while nothing else runs, and return its result."""
@@ -124,23 +131,9 @@ class Sweep:
                 self._records.add(run=asdict(run))
                 self._display.note(f"{self._labels[name]}: not compiled ({values['detail']})")
 
-    def _calibrate(self) -> None:
-        if not self._records.results.calibrations:
-            values = self._values("fixed load", GRACE, calibrations, CALIBRATIONS)
-            self._records.add(calibrations=values.get("seconds", []))
-            self._display.finished()
-
-    @property
-    def _least_load(self) -> float:
-        """The fastest calibration so far, s."""
-        results = self._records.results
-        known = [run.calibration for run in results.runs.values() if run.calibration is not None]
-        return min([*results.calibrations, *known], default=float("inf"))
-
     def _runs(self) -> None:
         waiting, begin = deque(self._missing()), time.perf_counter()
         for ended in self._each(waiting, self._task):
-            job = ended.key
             if ended.kind == NOT_RUN:
                 self._display.more(-1)
                 continue
@@ -148,9 +141,8 @@ class Sweep:
             self._records.add(run=asdict(run))
             self._display.finished(f"{ended.name}: {run_text(run)}")
             self._estimate(run, time.perf_counter() - begin, waiting)
-            if run.disturbed and job.attempt < RETRIES and self._again > 0:
-                self._again -= 1
-                waiting.append(replace(job, attempt=job.attempt + 1))
+            if run.disturbed and (again := self._repetition(run)):
+                waiting.append(again)
                 self._display.more()
 
     def _task(self, job: Job) -> TimedCall:
@@ -161,10 +153,10 @@ class Sweep:
         solves = 2 if setting.start == "warm" else 1
         limit = solves * request.max_time + request.build_time
         args = (request, setting, job, self._records.solution_file(setting, job))
-        return TimedCall(name=self._name(job), limit=limit, function=run_job, args=args)
-
-    def _name(self, job: Job) -> str:
-        return f"{self._labels[job.setting]}, {_start_text(job)}"
+        start = "default guess" if job.start == 0 else f"start {job.start}"
+        attempt = f", attempt {job.attempt + 1}" if job.attempt else ""
+        name = f"{self._labels[job.setting]}, {start}{attempt}"
+        return TimedCall(name=name, limit=limit, function=run_job, args=args)
 
     def _missing(self) -> list[Job]:
         """Jobs of all rounds that are not recorded; attempts continue the recorded ones."""
@@ -176,16 +168,22 @@ class Sweep:
                     self._count(run)
                 if not tried:
                     jobs.append(Job(setting=name, start=start))
-                elif all(run.disturbed for run in tried) and tried[-1].attempt < RETRIES and self._again > 0:
-                    self._again -= 1
-                    jobs.append(Job(setting=name, start=start, attempt=tried[-1].attempt + 1))
+                elif all(run.disturbed for run in tried) and (again := self._repetition(tried[-1])):
+                    jobs.append(again)
         return jobs
+
+    def _repetition(self, run: TimedRun) -> Job | None:
+        """The job that repeats a run, while repetitions are left."""
+        if run.attempt >= RETRIES or self._repeats <= 0:
+            return None
+        self._repeats -= 1
+        return replace(run.job, attempt=run.attempt + 1)
 
     def _judged(self, ended: Ended[Job]) -> TimedRun:
         """The run of an ended task, judged by the calibrations."""
         if ended.kind == DONE:
             run: TimedRun = ended.value
-            slow = (run.calibration or 0.0) > DISTURBED_LOAD * self._least_load
+            slow = (run.calibration or 0.0) > DISTURBED_LOAD * self._records.results.least_load
             run = replace(run, disturbed=slow or (run.cpu_share or 1.0) < LEAST_SHARE)
         else:
             run = TimedRun(**asdict(ended.key), status=_status(ended), detail=ended.detail)
@@ -200,9 +198,9 @@ class Sweep:
 
     def _estimate(self, run: TimedRun, seconds: float, waiting: Collection[Job]) -> None:
         """After the first run, estimate the time of the others, in proportion to collocation points."""
-        if self._told or not waiting:
+        if self._estimated or not waiting:
             return
-        self._told = True
+        self._estimated = True
         once = (run.compile_time or 0.0) + (run.build_time or 0.0) * bool(run.functions_compiled)
         per_point = (seconds - once) / self._settings[run.setting].points
         total = sum(LEAST_SECONDS + per_point * self._settings[job.setting].points for job in waiting)
@@ -263,11 +261,6 @@ def _values(ended: Ended[Any]) -> dict[str, Any]:
     return {"kind": _status(ended), "detail": ended.detail}
 
 
-def _start_text(job: Job) -> str:
-    start = "default guess" if job.start == 0 else f"start {job.start}"
-    return start + (f", attempt {job.attempt + 1}" if job.attempt else "")
-
-
 def run_text(run: TimedRun) -> str:
     """A run in a few words."""
     if run.wall_time is None:
@@ -275,3 +268,31 @@ def run_text(run: TimedRun) -> str:
     verdict = "solved" if run.success else f"NOT solved ({run.detail})"
     disturbed = ", disturbed" if run.disturbed else ""
     return f"{verdict}, {run.iterations} iterations, {run.wall_time + run.start_time:.3f} s{disturbed}"
+
+
+def physical_cores() -> tuple[int, ...]:
+    """One logical processor of each physical core that this process may use."""
+    if not hasattr(os, "sched_getaffinity"):
+        return tuple(range(os.cpu_count() or 1))
+    firsts: dict[str, int] = {}
+    for processor in sorted(os.sched_getaffinity(0)):
+        try:
+            siblings = Path(TOPOLOGY.format(processor)).read_text(encoding="ascii").strip()
+        except OSError:
+            siblings = str(processor)
+        firsts.setdefault(siblings, processor)
+    return tuple(sorted(firsts.values()))
+
+
+def cores_for(jobs: int) -> tuple[int, ...]:
+    """A core for each of ``jobs`` timed processes: the last ones, because the first handles the interrupts.
+
+    Raises InputError for more than all physical cores but one; one process is always allowed.
+    """
+    cores = physical_cores()
+    most = max(1, len(cores) - 1)
+    if not 1 <= jobs <= most:
+        raise InputError(
+            f"jobs is {jobs}", f"allowed: 1 to {most} here, the physical cores but one: timed runs share none"
+        )
+    return cores[-jobs:]

@@ -8,8 +8,7 @@ from typing import Any
 
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
-from trajopt.study.sweep.setting import STARTS, WORDS, Setting
-from trajopt.study.sweep.variants import cone_of, with_cone
+from trajopt.study.sweep.setting import STARTS, WORDS, Setting, cone_of, with_cone
 from trajopt.transcription.hessians import HESSIANS
 
 # Multiples of the problem's own number of intervals.
@@ -161,5 +160,5 @@ def _require(problem: Problem, setting: Setting) -> None:
     if setting.model == "two-stage" and (problem.actuation != "torque" or problem.robot.base == "fixed"):
         raise InputError(
             f"problem '{problem.name}' has no base rows that could be solved before its torques",
-            "allowed: --model full",
+            "allowed: `model=full`",
         )

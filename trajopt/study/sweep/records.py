@@ -13,12 +13,14 @@ from trajopt.problem.catalogue import families
 from trajopt.problem.family import choose
 from trajopt.solvers.result import StoppingCriteria
 from trajopt.solving.solving import DEFAULT_SOLVER, check_settings
-from trajopt.study.suite.settings import MOST_STARTS
+from trajopt.study.processes import REFUSED
+from trajopt.study.records import JsonLines
+from trajopt.study.solves import MOST_STARTS
 from trajopt.study.sweep.plan import SweepPlan
-from trajopt.study.sweep.result import Job, TimedRun
 from trajopt.study.sweep.setting import Setting
-from trajopt.study.workers.records import JsonLines
 
+# Status of a setting whose functions do not compile; others are the solver's, `REFUSED` and `LOST`.
+NOT_COMPILED = "not_compiled"
 FILE = "record.jsonl"
 SOLUTIONS = "solutions"
 REFERENCE = "reference.npz"
@@ -34,6 +36,65 @@ HEAD = {
     "build_time": "another time limit",
     "versions": "other versions of the libraries",
 }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """One run to make: a setting's name, the start (0: default guess, k: seed k), and the attempt."""
+
+    setting: str
+    start: int
+    attempt: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class TimedRun(Job):
+    """One solve and its times in s; unknown ones are None.
+
+    Args:
+        wall_time, function_time: the solver's; start_time: of the solve that made a warm start.
+        stage_two_time, build_time, compile_time: of torques; of graphs and transcription; of compilation.
+        iterations, objective: of all solves; the problem's own, even if a variant was solved.
+        calibration: time of the load next to the run, s.
+        cpu_share: fraction of the time, without compilation, in which the process had its core.
+        disturbed: either is out of bounds. detail: why it was refused, lost or not solved.
+    """
+
+    status: str
+    success: bool = False
+    iterations: int | None = None
+    wall_time: float | None = None
+    start_time: float = 0.0
+    stage_two_time: float = 0.0
+    function_time: float | None = None
+    build_time: float | None = None
+    compile_time: float | None = None
+    functions_compiled: int | None = None
+    variables: int | None = None
+    constraints: int | None = None
+    objective: float | None = None
+    max_violation: float | None = None
+    calibration: float | None = None
+    cpu_share: float | None = None
+    disturbed: bool = False
+    detail: str = ""
+
+    @property
+    def job(self) -> Job:
+        """The job of this result."""
+        return Job(setting=self.setting, start=self.start, attempt=self.attempt)
+
+    @property
+    def is_final(self) -> bool:
+        """Whether repeating it is useless: the setting does not fit, or its functions do not compile."""
+        return self.status in (REFUSED, NOT_COMPILED)
+
+    @property
+    def time(self) -> float:
+        """Time that a user waits for a solve, s; infinite without a solution."""
+        if not self.success or self.wall_time is None:
+            return float("inf")
+        return self.wall_time + self.start_time + self.stage_two_time
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,6 +162,16 @@ class SweepResults:
     reference: dict[str, Any] | None = None
     compiled: dict[str, dict[str, Any]] = field(default_factory=dict)
 
+    @property
+    def loads(self) -> list[float]:
+        """Times of the fixed load next to the runs, s, ascending."""
+        return sorted(run.calibration for run in self.runs.values() if run.calibration is not None)
+
+    @property
+    def least_load(self) -> float:
+        """The least time of the fixed load, s; infinite if unknown."""
+        return min([*self.calibrations, *self.loads], default=math.inf)
+
     def attempts(self, setting: str, start: int) -> list[TimedRun]:
         """Runs of one setting from one start, in order."""
         runs = [run for run in self.runs.values() if (run.setting, run.start) == (setting, start)]
@@ -142,32 +213,18 @@ class SweepRecords:
     def __init__(self, folder: Path, head: Mapping[str, Any], *, resume: bool) -> None:
         self.folder = expanded(folder)
         self.results = SweepResults()
-        file = self.folder / FILE
-        files = (self.folder / REFERENCE, *(self.folder / SOLUTIONS).glob("*.npz"))
-        foreign = [] if file.exists() else [path for path in files if path.exists()]
-        if foreign:
-            raise InputError(f"{foreign[0]} is there, without a sweep", "allowed: another --output-dir")
+        file, solutions = self.folder / FILE, self.folder / SOLUTIONS
+        written = [path for path in (self.reference_file, *solutions.glob("*.npz")) if path.exists()]
+        if written and not file.exists():
+            raise InputError(f"{written[0]} is there, without a sweep", "allowed: another folder")
         self._lines = JsonLines(file)
-        resume = resume and file.exists()
-        first, *entries = self._lines.open(resume=resume) or [{}]
-        (self.folder / SOLUTIONS).mkdir(exist_ok=True)
-        if not resume:
-            self._lines.append({"head": dict(head)})
-            for stale in (self.reference_file, *(self.folder / SOLUTIONS).glob("*.npz")):
-                stale.unlink(missing_ok=True)
-            return
-        self._require(first.get("head"), head)
+        entries = self._lines.begin("sweep", head, HEAD, resume=resume)
+        solutions.mkdir(exist_ok=True)
+        for path in [] if resume else written:
+            path.unlink(missing_ok=True)
         for entry in entries:
             with suppress(ValueError, KeyError, TypeError):  # damaged: skipped, and run again
                 self.results.add(entry)
-
-    def _require(self, known: Any, head: Mapping[str, Any]) -> None:
-        for name, words in HEAD.items():
-            if not isinstance(known, dict) or known.get(name) != head[name]:
-                raise InputError(
-                    f"{self.folder} holds a sweep with {words}",
-                    "allowed: the same command with --resume, or another --output-dir",
-                )
 
     @property
     def reference_file(self) -> Path:

@@ -1,5 +1,6 @@
 """Tasks of a sweep: compile, run, solve the reference, time the fixed load."""
 
+import math
 import statistics
 import time
 from dataclasses import asdict, dataclass
@@ -8,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from trajopt.certify.accuracy.measures import measure
 from trajopt.problem.problem import Problem
 from trajopt.reduced.two_stage import base_rows_problem, recover_torques
 from trajopt.reduced.wrench_distribution import redistribute_wrenches
@@ -15,16 +17,26 @@ from trajopt.solution.solution import Solution
 from trajopt.solving.reference import converged_reference
 from trajopt.solving.solving import prepare, solve
 from trajopt.solving.warm_start import warm_start
-from trajopt.study.suite.failure import failure_text
-from trajopt.study.sweep.records import SweepRequest
-from trajopt.study.sweep.result import Job, TimedRun
-from trajopt.study.sweep.setting import Setting
-from trajopt.study.sweep.variants import with_cone
+from trajopt.study.solves import failure_text
+from trajopt.study.sweep.records import Job, SweepRequest, TimedRun
+from trajopt.study.sweep.setting import Setting, with_cone
 from trajopt.transcription.compilation import compile_points
 from trajopt.transcription.transcription import transcribe
 
 # A warm start is the solution on this fraction of the intervals, with the same scheme.
 COARSER = 0.5
+# Columns of ``settings.csv`` about accuracy, named as in `trajopt.certify.accuracy`;
+# the last two are against the reference.
+COLUMNS = {
+    "open_loop": "open_loop_m",
+    "open_loop_motion": "open_loop_motion_m",
+    "interval_error": "interval_error_m",
+    "collocation_error": "collocation_error",
+    "foot_drift": "foot_drift_m",
+    "violation_between": "violation_between",
+    "objective_gap": "objective_gap",
+    "distance": "distance_m",
+}
 # A solve shorter than this, s, is done this many times in its process.
 SHORT, TIMES = 0.1, 5
 
@@ -119,6 +131,17 @@ def calibrations(count: int) -> dict[str, Any]:
     """Times of the fixed load, s."""
     load = Load()
     return {"seconds": [load.seconds() for _ in range(count)]}
+
+
+def figures(file: Path, reference: Path | None) -> dict[str, float | None]:
+    """Figures of the solution in ``file`` by column; unknown ones are None. Raises TrajoptError."""
+    with np.errstate(all="ignore"):  # an inaccurate motion may diverge: its figures show it
+        accuracy: dict[str, Any] = measure(file, reference).to_dict()
+    return {column: _number(accuracy.get(name)) for name, column in COLUMNS.items()}
+
+
+def _number(value: Any) -> float | None:
+    return float(value) if isinstance(value, int | float) and math.isfinite(value) else None
 
 
 def _repeated(problem: Problem, setting: Setting, job: Job, request: SweepRequest) -> list[_Made]:

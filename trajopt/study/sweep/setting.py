@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
 from trajopt.errors import InputError
+from trajopt.problem.problem import Problem
 from trajopt.solvers.drivers import SOLVERS
 from trajopt.solving.solving import DEFAULT_SOLVER
+from trajopt.terms.friction import ContactConstraint, FrictionCone, FrictionPyramid
 from trajopt.transcription.hessians import DEFAULT_HESSIAN, HESSIANS
 from trajopt.transcription.schemes import FAMILIES, scheme
 
+KINDS: dict[str, type[ContactConstraint]] = {"smooth": FrictionCone, "pyramid": FrictionPyramid}
 # ``own``: the problem's friction terms, of both kinds or none.
-CONES = ("own", "smooth", "pyramid")
+CONES = ("own", *KINDS)
 MODELS = ("full", "two-stage")
 STARTS = ("cold", "warm")
 
@@ -104,18 +106,6 @@ class Setting:
         return asdict(self)
 
     @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> Setting:
-        """The inverse of `to_dict`; text is converted. Raises InputError."""
-        try:
-            chosen = {axis.name: values[axis.name] for axis in fields(cls)}
-            return cls(
-                **chosen | {"intervals": int(chosen["intervals"]), "tolerance": float(chosen["tolerance"])}
-            )
-        except (KeyError, TypeError, ValueError):
-            names = ", ".join(axis.name for axis in fields(cls))
-            raise InputError("a setting lacks a value or has a wrong one", f"it has: {names}") from None
-
-    @classmethod
     def parse(cls, text: str, base: Setting) -> Setting:
         """Replace values of ``base`` by the words of ``text``, as in ``legendre:1@10 pyramid 1e-3``."""
         chosen: dict[str, Any] = {}
@@ -146,3 +136,37 @@ def _meaning(word: str) -> dict[str, Any]:
         return {"tolerance": float(word)}
     except ValueError:
         raise InputError(f"'{word}' is no word of a setting", WORD_FORM) from None
+
+
+def cone_of(problem: Problem) -> str | None:
+    """Kind of the friction terms for points: ``smooth``, ``pyramid``, ``own`` for both, None without any."""
+    kinds = {
+        kind for kind, term_type in KINDS.items() if any(type(term) is term_type for term in problem.terms)
+    }
+    if len(kinds) == 1:
+        return kinds.pop()
+    return "own" if kinds else None
+
+
+def with_cone(problem: Problem, kind: str) -> Problem:
+    """Convert all friction terms for point contacts to that kind; ``own`` leaves the problem unchanged.
+
+    The pyramid is inscribed in the cone: where friction is active, the two problems have different optima.
+    The cones of soles (`SoleCone`) are already pyramids and stay. Raises InputError if there is no friction
+    term.
+    """
+    current = cone_of(problem)
+    if kind in ("own", current):
+        return problem
+    if current is None:
+        raise InputError(
+            f"problem '{problem.name}' has no friction term of point contacts", "allowed: no `cone`"
+        )
+    chosen = KINDS[kind]
+    terms = (
+        chosen(**{entry.name: getattr(term, entry.name) for entry in fields(term) if entry.init})
+        if type(term) in KINDS.values()
+        else term
+        for term in problem.terms
+    )
+    return replace(problem, terms=tuple(terms))

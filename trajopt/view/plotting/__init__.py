@@ -1,4 +1,4 @@
-"""Plots of solutions: pages of panels as a picture, a document to print, or one HTML file."""
+"""Plots of solutions by topic: as a picture, as a PDF with a page for each, or as one HTML file."""
 
 import lazy_loader
 

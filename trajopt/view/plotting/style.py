@@ -1,4 +1,4 @@
-"""Style of plots: sizes for A4, colours for the colour-blind, markers for grey print."""
+"""Style of plots: fonts, colours for the colour-blind, markers for grey print."""
 
 from __future__ import annotations
 
@@ -32,8 +32,6 @@ SHARES, BEYOND = "Blues", "#D55E00"
 # Colour map of time, from light to dark; its light end is visible on white.
 TIMES = "cividis_r"
 
-# A4, upright, in inches.
-WIDTH, HEIGHT = 8.27, 11.69
 TITLE, FONT, SMALL, TINY, SMALLEST = 11.0, 8.0, 7.0, 6.5, 6.0
 # Resolution in dots per inch of a picture, and of raster parts of an HTML page.
 DOTS = 150

@@ -3,24 +3,22 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import pinocchio as pin
 
 from trajopt.certify.accuracy.measures import Accuracy, measure
 from trajopt.certify.accuracy.open_loop import interval_drifts
-from trajopt.certify.accuracy.table import FIGURES as MEASURED
 from trajopt.certify.check import check
-from trajopt.certify.report import FIGURES, CheckReport, Tolerances
+from trajopt.certify.report import CheckReport
 from trajopt.errors import InputError, TrajoptError
-from trajopt.motion.energy_use import cost_of_transport, energy
 from trajopt.motion.resampling import resampled, sample_interval
 from trajopt.solution.interpolation import MotionSample
 from trajopt.solution.solution import Solution
+from trajopt.view.plotting import style
 from trajopt.view.plotting.joints import JointAxis, axes_of
 from trajopt.view.plotting.motion import PlottedMotion
-from trajopt.view.plotting.style import short
 from trajopt.view.replay.motion import PhaseSpan, phase_spans
 
 # Approximate number of samples drawn of a motion: a line across a page has no more dots.
@@ -34,25 +32,23 @@ JUMP = 0.005
 # Values (K, ...) of a motion's samples.
 MotionQuantity = Callable[[PlottedMotion], np.ndarray]
 _Result = TypeVar("_Result")
-# Name, a value for each solution, unit, and tolerance.
-_Row = tuple[str, tuple[str, ...], str, str]
-# Units of those facts that have one.
-UNITS = {
-    "largest violation": "scaled",
-    "phases": "s",
-    "duration": "s",
-    "time of the solver": "s",
-    "energy drawn by joints": "J",
-    "cost of transport": "1",
-}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Track:
-    """A solution with its ``label``; ``dense`` is its interpolated motion and ``points`` its own samples."""
+    """One of several solutions in a plot.
+
+    Args:
+        label: its name.
+        solution: the plan or simulated motion.
+        number: among the solutions.
+        dense: the interpolated motion.
+        points: its own samples.
+    """
 
     label: str
     solution: Solution
+    number: int = 0
     dense: PlottedMotion = field(init=False)
     points: PlottedMotion = field(init=False)
 
@@ -60,6 +56,11 @@ class Track:
         plan = self.solution.normalized()
         object.__setattr__(self, "points", PlottedMotion(plan))
         object.__setattr__(self, "dense", PlottedMotion(between_points(plan)))
+
+    @property
+    def line_style(self) -> Any:
+        """The line style of its curves."""
+        return style.line_style(self.number)
 
     @property
     def is_simulated(self) -> bool:
@@ -85,7 +86,7 @@ class Track:
     @cached_property
     def phases(self) -> tuple[PhaseSpan, ...]:
         """The phases in time order."""
-        return tuple(replace(span, name=short(span.name)) for span in phase_spans(self.solution))
+        return tuple(replace(span, name=style.short(span.name)) for span in phase_spans(self.solution))
 
     @property
     def impact_times(self) -> list[float]:
@@ -203,7 +204,8 @@ def tracks_of(solutions: Sequence[Solution], labels: Sequence[str] | None = None
             )
     names = [str(label) for label in labels] if labels else _labels(solutions)
     return tuple(
-        Track(label=label, solution=solution) for label, solution in zip(names, solutions, strict=True)
+        Track(label=label, solution=solution, number=number)
+        for number, (label, solution) in enumerate(zip(names, solutions, strict=True))
     )
 
 
@@ -225,18 +227,6 @@ def _labels(solutions: Sequence[Solution]) -> list[str]:
     return [f"{number + 1}: {grid}" for number, grid in enumerate(grids)]
 
 
-@dataclass(frozen=True, kw_only=True)
-class FigureTable:
-    """A table: ``title``, and ``rows``.
-
-    ``beyond`` holds the (row, solution) pairs whose value is beyond its tolerance.
-    """
-
-    title: str
-    rows: tuple[_Row, ...]
-    beyond: frozenset[tuple[int, int]] = frozenset()
-
-
 def title_of(tracks: Sequence[Track]) -> str:
     """Return the names of the problems, and of the robot."""
     names = dict.fromkeys(track.solution.description.problem for track in tracks)
@@ -248,7 +238,7 @@ def state_of(track: Track) -> str:
     plan, statistics = track.solution, track.solution.statistics
     objective = statistics.objective
     parts = [
-        "solved" if statistics.success else f"not solved, {_status(track)}",
+        "solved" if statistics.success else f"not solved, {status_of(track)}",
         f"{statistics.solver}, {statistics.iterations} iterations",
         "" if objective is None else f"objective {objective:.6g}",
         f"{statistics.transcription}, {plan.n_intervals} interval{'s' * (plan.n_intervals > 1)}",
@@ -261,90 +251,12 @@ def failure_of(track: Track) -> str:
     """Say how a solution failed; empty if it did not."""
     failed = not track.solution.success and not track.is_simulated
     parts = [
-        f"NOT SOLVED ({_status(track)}): the last iterate" if failed else "",
+        f"NOT SOLVED ({status_of(track)}): the last iterate" if failed else "",
         "" if track.is_finite else "NOT FINITE: what is finite is shown",
     ]
     return "; ".join(part for part in parts if part)
 
 
-def _status(track: Track) -> str:
+def status_of(track: Track) -> str:
+    """Return the status of the solver in words."""
     return track.solution.statistics.status.replace("_", " ")
-
-
-def sections(tracks: Sequence[Track]) -> tuple[FigureTable, ...]:
-    """Facts, check and accuracy of the solutions; missing figures are left empty."""
-    return tuple(
-        section for section in (_facts(tracks), _check(tracks), _accuracy(tracks)) if section is not None
-    )
-
-
-def _facts(tracks: Sequence[Track]) -> FigureTable:
-    named = [_facts_of(track) for track in tracks]
-    rows = [(name, tuple(facts[name] for facts in named), UNITS.get(name, ""), "") for name in named[0]]
-    return FigureTable(title="solution", rows=tuple(row for row in rows if any(row[1])))
-
-
-def _facts_of(track: Track) -> dict[str, str]:
-    plan, description, statistics = track.solution, track.solution.description, track.solution.statistics
-    drawn = tried(lambda: float(energy(plan))) if track.is_finite else None
-    transport = tried(lambda: float(cost_of_transport(plan))) if track.is_finite else None
-    solved = "solved" if statistics.success else "NOT SOLVED"
-    return {
-        "problem": description.problem,
-        "robot": description.robot,
-        "parameters": ", ".join(f"{key} {_value(entry)}" for key, entry in description.parameters.items()),
-        "status": f"{solved}: {_status(track)}",
-        "advice": "" if statistics.success else statistics.advice_in_line,
-        "solver": f"{statistics.solver}, tolerance {statistics.tolerance:g}",
-        "iterations": str(statistics.iterations),
-        "objective": _value(statistics.objective),
-        "largest violation": _value(statistics.max_violation),
-        "variables, constraints": f"{statistics.variables}, {statistics.constraints}"
-        if statistics.variables
-        else "",
-        "transcription": f"{statistics.transcription}, {plan.n_intervals} intervals",
-        "phases": ", ".join(f"{phase.name} {phase.end - phase.start:.3g}" for phase in track.phases),
-        "duration": f"{plan.t[-1] - plan.t[0]:.4g}",
-        "time of the solver": _value(statistics.wall_time_s),
-        "energy drawn by joints": _value(drawn),
-        "cost of transport": _value(transport if transport is not None and np.isfinite(transport) else None),
-        "versions": ", ".join(f"{key} {entry}" for key, entry in statistics.versions.items()),
-    }
-
-
-def _value(value: object) -> str:
-    if value is None:
-        return ""
-    return f"{value:.5g}" if isinstance(value, float) else str(value)
-
-
-def _check(tracks: Sequence[Track]) -> FigureTable | None:
-    reports = [track.report for track in tracks]
-    limits = Tolerances()
-    rows: list[_Row] = []
-    beyond: set[tuple[int, int]] = set()
-    failures = [set() if report is None else set(report.failures()) for report in reports]
-    for name, figure in FIGURES.items():
-        limit = None if figure.tolerance is None else getattr(limits, figure.tolerance)
-        least = figure.margin or figure.least
-        allowed = "" if limit is None else f"{'≥' if least else '≤'} {-limit if figure.margin else limit:.0e}"
-        if values := _values(reports, name):
-            beyond |= {(len(rows), i) for i, failed in enumerate(failures) if name in failed}
-            rows.append((figure.text, values, figure.unit, allowed))
-    title = "check, by numeric Pinocchio alone"
-    return FigureTable(title=title, rows=tuple(rows), beyond=frozenset(beyond)) if any(reports) else None
-
-
-def _accuracy(tracks: Sequence[Track]) -> FigureTable | None:
-    measured = [track.accuracy for track in tracks]
-    named = ((text, _values(measured, name), unit, "") for name, (text, unit) in MEASURED.items())
-    rows = tuple(row for row in named if row[1])
-    title = "accuracy between points and in open loop"
-    return FigureTable(title=title, rows=rows) if any(measured) else None
-
-
-def _values(figures: Sequence[object | None], name: str) -> tuple[str, ...]:
-    """A figure of each solution as text, empty if unknown; no row if unknown for all."""
-    values = [getattr(one, name, None) for one in figures]
-    known = any(value is not None for value in values)
-    return tuple("" if value is None else f"{value:.3g}" for value in values) if known else ()

@@ -1,16 +1,23 @@
 """A report of one or several solutions, as pictures, a document to print, or one HTML file."""
 
+from __future__ import annotations
+
 import io
 from base64 import b64encode
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from trajopt.arguments import checked
+from trajopt.certify.accuracy.table import accuracy_figures
+from trajopt.certify.report import MeasuredFigure
 from trajopt.errors import InputError, not_among
+from trajopt.motion.energy_use import cost_of_transport, energy
+from trajopt.simulation.push import PushReport
 from trajopt.solution.input import solutions_of
 from trajopt.solution.output import check_output, replacing
 from trajopt.solution.solution import Solution
@@ -20,11 +27,11 @@ from trajopt.view.plotting import topics_accuracy as accuracy
 from trajopt.view.plotting import topics_base as base
 from trajopt.view.plotting import topics_contacts as contacts
 from trajopt.view.plotting import topics_joints as joints
-from trajopt.view.plotting import topics_limits as limits
-from trajopt.view.plotting.draw import PlotPage, PlotRow, Tracks, page_of
-from trajopt.view.plotting.figure import figure_of
-from trajopt.view.plotting.topics_contacts import sole_pages
-from trajopt.view.plotting.track import FigureTable, failure_of, sections, state_of, title_of, tracks_of
+from trajopt.view.plotting.sheet import LOW_ROW, ROW, Sheet
+from trajopt.view.plotting.track import Track, failure_of, state_of, status_of, title_of, tracks_of, tried
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # Most rows of a map of shares in the summary: with more joints, one row per limb.
 MAP_ROWS = 12
@@ -32,75 +39,76 @@ MAP_ROWS = 12
 FEW_LIMBS = 2
 
 
-def summary_pages(tracks: Tracks) -> list[PlotPage]:
-    """Contacts, shares of limits, base or joints, forces, momentum or power, errors: one page."""
-    shares = _shares(tracks)
-    is_map = shares is not None and len(tracks) == 1
-    rows: list[PlotRow | None] = [contacts.stance_row(tracks), shares]
+def draw_summary(sheet: Sheet) -> None:
+    """Draw contacts, shares of limits, base or joints, forces, momentum or power, and errors."""
+    tracks, limbs = sheet.tracks, joints.limbs(sheet.tracks)
+    contacts.draw_stances(sheet)
+    if len(tracks) > 1:
+        joints.draw_largest_shares(sheet)
+    elif limbs:
+        groups = {name: [axis] for limb in limbs for name, axis in zip(limb.long, limb.axes, strict=True)}
+        if len(groups) > MAP_ROWS:
+            groups = {limb.name: list(limb.axes) for limb in limbs}
+        joints.draw_share_maps(sheet, tracks[0], groups)
+        sheet.notes.append(
+            "Maps: share of the limit that is used, on the right its largest in per cent; orange: beyond it."
+        )
     moving = base.has_base(tracks)
     if moving:
-        rows += [joints.torque_row(tracks), base.thrust_row(tracks)]
-        rows += [base.vector_row(tracks, name) for name in ("base position", "base orientation")]
+        joints.draw_torques(sheet)
+        base.draw_thrust(sheet)
+        base.draw_vector(sheet, "base position")
+        base.draw_vector(sheet, "base orientation")
     else:
-        limbs = joints.limbs(tracks)
-        alone = len(limbs) == 1
         for limb in limbs[:FEW_LIMBS]:
-            rows += joints.limb_rows(tracks, limb, wide=alone, alone=alone)
+            joints.draw_limb(sheet, limb, wide=len(limbs) == 1, alone=len(limbs) == 1)
     if contacts.contacts(tracks):
-        rows += [contacts.normal_row(tracks), contacts.cone_row(tracks)]
+        contacts.draw_normal_forces(sheet)
+        contacts.draw_cone_shares(sheet)
     if moving:
-        rows.append(base.vector_row(tracks, "angular momentum"))
-    rows += [base.clearance_row(tracks), base.power_row(tracks), accuracy.residual_row(tracks)]
-    maps = "Maps: share of the limit that is used, on the right its largest in per cent; orange: beyond it. "
-    note = f"{maps if is_map else ''}Residuals in natural units (weight, reach, g)."
-    return page_of("summary", "summary", rows, note=note)
+        base.draw_vector(sheet, "angular momentum")
+    base.draw_clearance(sheet)
+    base.draw_power(sheet)
+    accuracy.draw_residuals(sheet)
+    sheet.notes.append("Residuals in natural units (weight, reach, g).")
 
 
-def _shares(tracks: Tracks) -> PlotRow | None:
-    """A map of the shares of limits of one solution; of several, curves of their largest shares."""
-    rows, names = limits.axes_and_names(tracks)
-    if not rows or len(tracks) > 1:
-        return limits.largest_row(tracks) if rows else None
-    groups = [[axis] for axis in rows]
-    if len(rows) > MAP_ROWS:
-        limbs = joints.limbs(tracks)
-        groups, names = [list(limb.axes) for limb in limbs], [limb.name for limb in limbs]
-    return limits.map_row(tracks, 0, groups, names)
-
-
-PAGES: dict[str, Callable[[Tracks], list[PlotPage]]] = {
-    "summary": summary_pages,
-    "limits": limits.limit_pages,
-    "joints": joints.joint_pages,
-    "drives": joints.drive_pages,
-    "forces": contacts.force_pages,
-    "soles": sole_pages,
-    "base": base.base_pages,
-    "momentum": base.momentum_pages,
-    "clearance": base.clearance_pages,
-    "accuracy": accuracy.accuracy_pages,
+# By name: title and function that draws.
+TOPICS: dict[str, tuple[str, Callable[[Sheet], None]]] = {
+    "summary": ("summary", draw_summary),
+    "limits": ("shares of the limits", joints.draw_limits),
+    "joints": ("joints", joints.draw_joints),
+    "drives": ("drives", joints.draw_drives),
+    "forces": ("contact forces", contacts.draw_forces),
+    "soles": ("centres of pressure", contacts.draw_soles),
+    "base": ("base", base.draw_base),
+    "momentum": ("centre of mass, momentum and power", base.draw_momentum),
+    "clearance": ("clearance", base.draw_clearance),
+    "accuracy": ("errors between points", accuracy.draw_accuracy),
 }
 
 
-def pages_of(tracks: Tracks, names: Sequence[str]) -> list[PlotPage]:
-    """Pages by name, in this order; those that do not apply to the robot are left out.
-
-    Raises `InputError` for an unknown name, or if none is left.
-    """
-    for name in names:
-        if name not in PAGES:
-            raise not_among(PAGES, name, f"page '{name}' is unknown")
-    chosen = [page for name in names for page in PAGES[name](tracks)]
-    if not chosen:
-        have = [name for name, pages in PAGES.items() if pages(tracks)]
-        raise InputError(
-            f"the solution has nothing for page {', '.join(names)}", f"allowed: {', '.join(have)}"
-        )
-    return chosen
+def sheet_of(tracks: Sequence[Track], names: Sequence[str]) -> Sheet:
+    """Draw topics of `TOPICS` into one figure; those that do not apply to the robot are left out."""
+    with style.look():
+        sheet = Sheet(tracks, row_height=LOW_ROW if "summary" in names else ROW)
+        for name in names:
+            sheet.draw(name, *TOPICS[name])
+        if sheet.topics:
+            sheet.finish(f"trajopt {installed_version('trajopt')}")
+    return sheet
 
 
-# Default pages by suffix: a picture has the summary, a document all pages.
-DEFAULT_PAGES = {".png": ("summary",), ".svg": ("summary",), ".pdf": tuple(PAGES), ".html": tuple(PAGES)}
+def sheets_of(tracks: Sequence[Track], groups: Sequence[Sequence[str]]) -> list[Sheet]:
+    """Draw a figure for each group of topics; raises `InputError` if none applies."""
+    sheets = [sheet for sheet in (sheet_of(tracks, group) for group in groups) if sheet.topics]
+    if not sheets:
+        names = ", ".join(name for group in groups for name in group)
+        have = sheet_of(tracks, list(TOPICS)).topics
+        raise InputError(f"the solution has nothing for page {names}", f"allowed: {', '.join(have)}")
+    return sheets
+
+
 STYLE = """
 :root { color-scheme: light; }
 body { font: 15px/1.45 system-ui, sans-serif; color: #111; background: #fff; margin: 0 auto;
@@ -114,11 +122,24 @@ th, td { text-align: left; vertical-align: top; padding: .15rem .8rem .15rem 0;
   border-bottom: 1px solid #e3e3e3; }
 td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; overflow-wrap: anywhere; }
 td.beyond { color: #b34400; font-weight: bold; } td.unit { color: #555; white-space: nowrap; }
-footer { color: #555; font-size: .8rem; margin-top: 2rem; }
 @media print { nav { display: none; } body { max-width: none; padding: 0; font-size: 10pt; }
   figure { break-before: page; margin: 0; overflow: visible; } figure img { min-width: 0; max-height: 277mm; }
   @page { size: A4; margin: 10mm; } }
 """
+# Units of those facts that have one.
+UNITS = {
+    "largest violation": "scaled",
+    "phases": "s",
+    "duration": "s",
+    "time of the solver": "s",
+    "energy drawn by joints": "J",
+    "cost of transport": "1",
+}
+# Suffixes of files with one figure, of the summary by default; others have one for every topic.
+PICTURES = (".png", ".svg")
+DEFAULT_PAGES = dict.fromkeys(PICTURES, ("summary",)) | {
+    ending: tuple(TOPICS) for ending in (".pdf", ".html")
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,6 +149,15 @@ class Plotted:
     path: Path
     size: int
     pages: tuple[str, ...]
+
+
+def check_plot(target: Path, endings: Sequence[str]) -> Path:
+    """Return the path if a plot can be written there; raises `InputError` if not."""
+    if target.suffix.lower() not in endings:
+        raise InputError(
+            f"cannot plot to {target}: its ending is '{target.suffix}'", f"allowed: {', '.join(endings)}"
+        )
+    return check_output(target)
 
 
 @checked
@@ -142,59 +172,55 @@ def write_plots(
 
     Args:
         solutions: Solutions or their files; the first is drawn with solid lines, shaded phases and points.
-        target: Ends with .png, .svg (one picture; default the summary page), .pdf (A4 pages) or .html (one
-            file that needs no network; both with all pages).
+        target: Ends with .png, .svg (one picture; default the summary), .pdf (a page for each topic) or
+            .html (one file that needs no network; both with all topics).
         labels: A name for each solution.
-        pages: Names of `writing.PAGES`; pages that do not apply to the robot are left out.
+        pages: Names of `TOPICS`; pages that do not apply to the robot are left out.
 
     Raises:
         InputError: For another suffix, a file that cannot be written, an unknown page, or solutions of
             several robots.
         SolutionFileError: For a file that cannot be read.
     """
-    place = Path(target)
+    place = check_plot(Path(target), tuple(DEFAULT_PAGES))
     ending = place.suffix.lower()
-    if ending not in DEFAULT_PAGES:
-        raise InputError(
-            f"cannot plot to {place}: its ending is '{ending}'", f"allowed: {', '.join(DEFAULT_PAGES)}"
-        )
-    place = check_output(place)
     read = solutions_of(solutions)
     for one in read:
         if one.n_samples < 2:
             raise InputError(f"the solution has {one.n_samples} samples", "allowed: two or more")
+    names = list(dict.fromkeys(pages or DEFAULT_PAGES[ending]))
+    for name in names:
+        if name not in TOPICS:
+            raise not_among(TOPICS, name, f"page '{name}' is unknown")
     with np.errstate(all="ignore"):  # a diverged iterate may overflow
         tracks = tracks_of(read, labels)
-        chosen = pages_of(tracks, pages or DEFAULT_PAGES[ending])
-        content = _content(chosen, tracks, ending)
+        tables = html_tables(tracks) if ending == ".html" else []  # first: figures show what is measured here
+        sheets = sheets_of(tracks, [names] if ending in PICTURES else [[name] for name in names])
+        content = _content(sheets, tracks, tables, ending)
     with replacing(place) as unfinished:
         unfinished.write_bytes(content)
-    return Plotted(path=place, size=len(content), pages=tuple(page.name for page in chosen))
+    return Plotted(
+        path=place, size=len(content), pages=tuple(name for sheet in sheets for name in sheet.topics)
+    )
 
 
-def _content(pages: Sequence[PlotPage], tracks: Tracks, ending: str) -> bytes:
-    maker = f"trajopt {installed_version('trajopt')}"
+def _content(sheets: Sequence[Sheet], tracks: Sequence[Track], tables: Sequence[str], ending: str) -> bytes:
+    if ending in PICTURES:
+        return style.rendered(sheets[0].figure, ending)
     if ending == ".html":
-        tables = sections(tracks)  # first: the pages show figures measured here
-        svgs = [(page, style.rendered(figure_of([page], tracks), ".svg")) for page in pages]
-        return html_page(tracks, svgs, tables).encode()
-    if ending != ".pdf":
-        return style.rendered(figure_of(pages, tracks, footer=maker), ending)
+        return html_page(sheets, tracks, tables).encode()
     from matplotlib.backends.backend_pdf import PdfPages
 
     buffer = io.BytesIO()
     facts = {"Title": title_of(tracks), "Creator": "trajopt", "CreationDate": None}  # for equal files
     with style.look(), PdfPages(buffer, metadata=facts) as document:
-        for number, page in enumerate(pages, 1):
-            footer = f"{maker}, page {number} of {len(pages)}"
-            document.savefig(figure_of([page], tracks, fixed=True, footer=footer))
+        for sheet in sheets:
+            document.savefig(sheet.figure)
     return buffer.getvalue()
 
 
-def html_page(
-    tracks: Tracks, drawings: Sequence[tuple[PlotPage, bytes]], sections: Sequence[FigureTable]
-) -> str:
-    """The text of the page; ``drawings`` are pages with their SVG, ``sections`` the tables."""
+def html_page(sheets: Sequence[Sheet], tracks: Sequence[Track], tables: Sequence[str]) -> str:
+    """The text of the page, with figures as SVG and the tables of `html_tables`."""
     title, links, figures = escape(title_of(tracks)), [], []
     labelled = [(f"{track.label}: " if len(tracks) > 1 else "", track) for track in tracks]
     head = [f'<p class="state">{escape(label + state_of(track))}</p>' for label, track in labelled]
@@ -203,14 +229,13 @@ def html_page(
         for label, track in labelled
         if (failure := failure_of(track))
     ]
-    names = [page.name for page, _ in drawings]
-    for number, (page, svg) in enumerate(drawings):
-        nth = f" {names[: number + 1].count(page.name)}" if names.count(page.name) > 1 else ""
-        anchor, text = (page.name + nth).replace(" ", "-"), escape(page.title + nth)
-        links.append(f'<a href="#{anchor}">{text}</a>')
-        source = f"data:image/svg+xml;base64,{b64encode(svg).decode()}"
-        figures.append(f'<figure id="{anchor}"><img alt="{text}" src="{source}"></figure>')
-    tables = [_table(section, [track.label for track in tracks]) for section in sections]
+    for sheet in sheets:
+        ((name, text),) = sheet.topics.items()
+        links.append(f'<a href="#{name}">{text}</a>')
+        svg = b64encode(style.rendered(sheet.figure, ".svg")).decode()
+        figures.append(
+            f'<figure id="{name}"><img alt="{text}" src="data:image/svg+xml;base64,{svg}"></figure>'
+        )
     further = '<a href="#figures">check and accuracy</a>' if tables[1:] else ""
     return "\n".join(
         [
@@ -223,24 +248,148 @@ def html_page(
             f'<section id="facts">{tables[0]}</section>',
             *figures,
             f'<section id="figures">{"".join(tables[1:])}</section>' if tables[1:] else "",
-            f"<footer>trajopt {escape(installed_version('trajopt'))}</footer></body></html>",
+            "</body></html>",
             "",
         ]
     )
 
 
-def _table(section: FigureTable, labels: Sequence[str]) -> str:
-    judged = any(allowed for *_, allowed in section.rows)
-    names = labels if len(labels) > 1 else [""]
-    heads = "".join(f'<th class="number">{escape(name)}</th>' for name in names)
-    rows = [f"<h2>{escape(section.title)}</h2><table>"]
-    if len(labels) > 1 or judged:
-        rows.append(f"<tr><th></th>{heads}<th>unit</th>{'<th>tolerance</th>' if judged else ''}</tr>")
-    for number, (name, values, unit, allowed) in enumerate(section.rows):
-        cells = "".join(
-            f'<td class="number{" beyond" if (number, i) in section.beyond else ""}">{escape(value)}</td>'
-            for i, value in enumerate(values)
+def html_tables(tracks: Sequence[Track]) -> list[str]:
+    """Tables of the solutions: facts, check and accuracy; missing figures are left empty."""
+    facts = [_facts_of(track) for track in tracks]
+    rows = [
+        _row(name, [of[name] for of in facts], UNITS.get(name, ""))
+        for name in facts[0]
+        if any(of[name] for of in facts)
+    ]
+    reports = [track.report.figures() if track.report else () for track in tracks]
+    measured = [accuracy_figures(track.accuracy) if track.accuracy else () for track in tracks]
+    names = [track.label for track in tracks] if len(tracks) > 1 else []
+    tables = [_table("solution", rows, names)]
+    if any(reports):
+        judged = _figure_rows(reports, judged=True)
+        tables.append(_table("check, by numeric Pinocchio alone", judged, names or [""], judged=True))
+    if any(measured):
+        tables.append(_table("accuracy between points and in open loop", _figure_rows(measured), names))
+    return tables
+
+
+def _figure_rows(measured: Sequence[Sequence[MeasuredFigure]], *, judged: bool = False) -> list[str]:
+    """A row for each figure that is known of one of the solutions."""
+    by_text = [{figure.text: figure for figure in figures} for figures in measured]
+    rows = []
+    for text, one in {text: one for figures in by_text for text, one in figures.items()}.items():
+        each = [figures.get(text) for figures in by_text]
+        values = ["" if figure is None else f"{figure.value:.3g}" for figure in each]
+        bound = "" if one.limit is None else f"{'≥' if one.lower else '≤'} {one.limit:.0e}"
+        beyond = [figure is not None and figure.beyond for figure in each]
+        rows.append(_row(text, values, one.unit, bound if judged else None, beyond))
+    return rows
+
+
+def _facts_of(track: Track) -> dict[str, str]:
+    plan, description, statistics = track.solution, track.solution.description, track.solution.statistics
+    drawn = tried(lambda: float(energy(plan))) if track.is_finite else None
+    transport = tried(lambda: float(cost_of_transport(plan))) if track.is_finite else None
+    solved = "solved" if statistics.success else "NOT SOLVED"
+    return {
+        "problem": description.problem,
+        "robot": description.robot,
+        "parameters": ", ".join(f"{key} {_value(entry)}" for key, entry in description.parameters.items()),
+        "status": f"{solved}: {status_of(track)}",
+        "advice": "" if statistics.success else statistics.advice_in_line,
+        "solver": f"{statistics.solver}, tolerance {statistics.tolerance:g}",
+        "iterations": str(statistics.iterations),
+        "objective": _value(statistics.objective),
+        "largest violation": _value(statistics.max_violation),
+        "variables, constraints": f"{statistics.variables}, {statistics.constraints}"
+        if statistics.variables
+        else "",
+        "transcription": f"{statistics.transcription}, {plan.n_intervals} intervals",
+        "phases": ", ".join(f"{phase.name} {phase.end - phase.start:.3g}" for phase in track.phases),
+        "duration": f"{plan.t[-1] - plan.t[0]:.4g}",
+        "time of the solver": _value(statistics.wall_time_s),
+        "energy drawn by joints": _value(drawn),
+        "cost of transport": _value(transport if transport is not None and np.isfinite(transport) else None),
+        "versions": ", ".join(f"{key} {entry}" for key, entry in statistics.versions.items()),
+    }
+
+
+def _value(value: object) -> str:
+    if value is None:
+        return ""
+    return f"{value:.5g}" if isinstance(value, float) else str(value)
+
+
+def _row(
+    name: str, values: Sequence[str], unit: str, allowed: str | None = None, beyond: Sequence[bool] = ()
+) -> str:
+    marks = [" beyond" if failed else "" for failed in beyond or [False] * len(values)]
+    cells = "".join(
+        f'<td class="number{mark}">{escape(value)}</td>' for value, mark in zip(values, marks, strict=True)
+    )
+    tolerance = f'<td class="unit">{escape(allowed)}</td>' if allowed is not None else ""
+    return f'<tr><td>{escape(name)}</td>{cells}<td class="unit">{escape(unit)}</td>{tolerance}</tr>'
+
+
+def _table(title: str, rows: Sequence[str], names: Sequence[str], *, judged: bool = False) -> str:
+    """A table with its title, and with heads if there are ``names`` of columns."""
+    heads = [f'<th class="number">{escape(name)}</th>' for name in names]
+    tolerance = "<th>tolerance</th>" if judged else ""
+    head = [f"<tr><th></th>{''.join(heads)}<th>unit</th>{tolerance}</tr>"] if heads else []
+    return "\n".join([f"<h2>{escape(title)}</h2><table>", *head, *rows, "</table>"])
+
+
+def check_push_plot(target: Path) -> Path:
+    """Return the path if a plot of pushes can be written there; raises `InputError` if not."""
+    return check_plot(target, (*PICTURES, ".pdf"))
+
+
+@checked
+def write_push_plot(report: PushReport, target: str | Path) -> Path:
+    """Plot the largest pushes of a report by direction, in natural units, with the base's front at the top.
+
+    Args:
+        report: from `trajopt.simulation.push.largest_pushes`.
+        target: ends with .png, .svg or .pdf.
+
+    Returns:
+        The path of the file.
+
+    Raises:
+        InputError: for another ending, or a file that cannot be written.
+    """
+    place = check_push_plot(Path(target))
+    content = style.rendered(figure_of_pushes(report), place.suffix.lower())
+    with replacing(place) as unfinished:
+        unfinished.write_bytes(content)
+    return place
+
+
+def figure_of_pushes(report: PushReport) -> Figure:
+    """Draw a closed curve per controller; triangles mark impulses that are only lower bounds."""
+    from matplotlib.figure import Figure
+
+    with style.look():
+        figure = Figure(figsize=(5.0, 5.4), dpi=style.DOTS, layout="constrained")
+        axes = figure.add_subplot(projection="polar")
+        axes.set_theta_zero_location("N")  # type: ignore[attr-defined]
+        angles = np.radians(report.directions)
+        for number, (controller, sizes) in enumerate(report.impulses.items()):
+            natural = np.array(sizes) / report.unit
+            line = {"color": style.colour(number), "linestyle": style.LINES[number]}
+            axes.plot(np.append(angles, angles[:1]), np.append(natural, natural[:1]), label=controller,
+                      marker=style.MARKERS[number], markersize=4, **line)  # fmt: skip
+            open_ended = np.array(sizes) >= report.most
+            axes.plot(angles[open_ended], natural[open_ended], color=style.colour(number), marker="^",
+                      linestyle="none", markersize=8)  # fmt: skip
+        axes.set_ylim(bottom=0.0)
+        axes.set_xticks(angles, [f"{angle:g}\N{DEGREE SIGN}" for angle in report.directions])
+        title = style.literal(f"{report.problem} on {report.robot}")
+        figure.suptitle(title, fontsize=style.FONT, weight="bold")
+        axes.set_xlabel(
+            f"largest impulse survived over weight sqrt(l / g) = {report.unit:.3g} N s, "
+            f"at {report.time:.3g} s\n0\N{DEGREE SIGN}: forward, counter-clockwise"
         )
-        tolerance = f'<td class="unit">{escape(allowed)}</td>' if judged else ""
-        rows.append(f'<tr><td>{escape(name)}</td>{cells}<td class="unit">{escape(unit)}</td>{tolerance}</tr>')
-    return "\n".join([*rows, "</table>"])
+        figure.legend(loc="outside lower center", ncols=len(report.impulses))
+    return figure

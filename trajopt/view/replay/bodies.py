@@ -7,13 +7,13 @@ import meshcat.geometry as shapes
 import numpy as np
 import pinocchio as pin
 
-from trajopt.collision.coal_shapes import thick
-from trajopt.collision.shapes import BoxObstacle, Obstacle
+from trajopt.collision.coal_shapes import thicken
+from trajopt.collision.shapes import BoxObstacle, Obstacle, box_corners
 from trajopt.solution.description import CarriedBody
 from trajopt.solution.solution import Solution
 from trajopt.terrain.bodies import convex_hull
 from trajopt.view.replay.commands import Animation, hold_while_hidden, without_shadow
-from trajopt.view.replay.parts import ColouredMeshGeometry, box_corners, colour_array, draw_capsule
+from trajopt.view.replay.parts import ColouredMeshGeometry, colour_array, draw_capsule
 from trajopt.view.replay.robot import box_of_inertia
 from trajopt.view.replay.runs import DrawnSolution
 
@@ -76,7 +76,7 @@ def _unshadowed(node: Any, shape: Any, placement: pin.SE3) -> None:
 
 def _faces(points: np.ndarray) -> ColouredMeshGeometry:
     """Faces of the hull of points (n, 3) m, each with its own normal."""
-    hull = convex_hull(thick(points))
+    hull = convex_hull(thicken(points))
     corners, outward = hull.corners[hull.triangles], hull.normals
     turned = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     inside_out = np.sum(turned * outward, axis=1) < 0

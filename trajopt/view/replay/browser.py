@@ -185,7 +185,7 @@ class Chromium:
         """
         path = Path(page).absolute()
         if not path.is_file():
-            raise InputError(f"page {path} does not exist", "a file that trajopt replay --html has written")
+            raise InputError(f"page {path} does not exist", "a page that trajopt.replay has written")
         heard, what = _Heard(), f"page {path.name}"
         address = path.as_uri() + (f"#{fragment}" if fragment else "")
         # The work has the limit itself, and reports the page's errors.

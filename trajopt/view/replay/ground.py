@@ -8,8 +8,9 @@ import meshcat.geometry as shapes
 import numpy as np
 from pinocchio.visualize.meshcat_visualizer import Plane
 
+from trajopt.collision.shapes import box_corners
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
-from trajopt.terrain.patch import Patch, cut_polygon
+from trajopt.terrain.bodies import extruded
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.smooth import SmoothTerrain
 from trajopt.terrain.surface import Surface
@@ -153,7 +154,7 @@ def _draw_plane(node: Any, box: np.ndarray, ground: Surface, size: float) -> Non
     """
     cell = grid_cell(box, size)
     step = BOLD_EVERY * cell
-    corners = parts.box_corners(*box) @ ground.tangents.T
+    corners = box_corners(*box) @ ground.tangents.T
     low = np.floor((corners.min(axis=0) - PLANE_MARGIN * size) / step) * step
     high = np.ceil((corners.max(axis=0) + PLANE_MARGIN * size) / step) * step
     centre = ground.frame @ np.array([*(low + high) / 2, ground.height - GRID_LIFT * size])
@@ -206,7 +207,7 @@ def _draw_sky_and_light(vis: Any, size: float) -> None:
 
 
 def _draw_faces(node: Any, terrain: PiecewiseTerrain, area: np.ndarray, drop: float, size: float) -> None:
-    seen = [(face.surface, corners) for face in terrain.faces if len(corners := _within(face, area)) >= 3]
+    seen = [(face.surface, corners) for face in terrain.faces if len(corners := face.within(*area)) >= 3]
     bottom = min([corners[:, 2].min() for _, corners in seen], default=0.0) - drop - DEPTH * size
     planes: list[Surface] = []
     material = shapes.MeshLambertMaterial(vertexColors=True)
@@ -222,18 +223,9 @@ def _draw_faces(node: Any, terrain: PiecewiseTerrain, area: np.ndarray, drop: fl
         node[f"edge{number}"].set_object(edge)
 
 
-def _within(face: Patch, area: np.ndarray) -> np.ndarray:
-    """Corners (k, 3) of the part of a face over the drawn area."""
-    corners = face.vertices
-    for axis, inward in enumerate(np.eye(3)[:2]):
-        corners = cut_polygon(corners, inward, float(area[0][axis]))
-        corners = cut_polygon(corners, -inward, -float(area[1][axis]))
-    return corners
-
-
 def _block(top: np.ndarray, bottom: float, colour: int) -> parts.ColouredMeshGeometry:
     """A prism under a convex polygon (k, 3): its top in ``colour``, darker walls down to ``bottom`` m."""
-    under = np.column_stack([top[:, :2], np.full(len(top), bottom)])
+    under = extruded(top, bottom)[len(top) :]
     tone = parts.colour_array(colour)
     faces: list[parts.MeshPart] = [(top, _normal(top), tone, parts.fan(len(top)))]
     for i in range(len(top)):  # walls do not share corners, so that each is shaded flat

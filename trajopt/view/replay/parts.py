@@ -90,11 +90,6 @@ def placed(position: Sequence[float] | np.ndarray, rotation: np.ndarray | None =
     return np.asarray(pin.SE3(np.eye(3) if rotation is None else rotation, np.asarray(position)).homogeneous)
 
 
-def box_corners(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Return the corners (8, 3) of a box from ``low`` (3,) to ``high`` (3,)."""
-    return np.array(list(itertools.product(*zip(low, high, strict=True))))
-
-
 def draw_unshadowed(node: Any, shape: Any, material: Any, kind: Any = None) -> None:
     """Set the object of ``node`` so that it casts no shadow."""
     node.set_object((kind or shapes.Mesh)(shape, material))

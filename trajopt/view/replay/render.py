@@ -5,20 +5,22 @@ import itertools
 import math
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
-from trajopt.errors import InputError, is_number, shown
+from trajopt.arguments import checked
+from trajopt.errors import InputError
+from trajopt.kinds import Range
 from trajopt.solution.input import SolutionOrFile, require_motion, solutions_of
 from trajopt.solution.output import check_output, replacing
 from trajopt.solution.solution import Solution
 from trajopt.view.replay import video
 from trajopt.view.replay.browser import AT_START, OpenedPage, open_page, require_chromium
-from trajopt.view.replay.motion import require_speed
+from trajopt.view.replay.motion import FASTEST
 from trajopt.view.replay.runs import require_labels
 from trajopt.view.replay.show import replay
 
@@ -42,10 +44,10 @@ SAME_TIME = 1e-6
 
 # Kinds of file to which an option applies, for options that do not apply to all.
 USES = {
-    **dict.fromkeys(("--fps", "--speed"), "a video"),
-    "--time": "a .png of one picture, which is without --strip",
-    "--strip": "a .png",
-    **dict.fromkeys(("--from", "--to"), "a video, or a .png with --strip"),
+    **dict.fromkeys(("fps", "speed"), "a video"),
+    "time": "a .png of one picture, which is without strip",
+    "strip": "a .png",
+    **dict.fromkeys(("start", "end"), "a video, or a .png with strip"),
 }
 _Progress = Callable[[int, int], None]
 
@@ -58,6 +60,7 @@ SLOWEST = 0.1
 GHOSTS = "ghosts"
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Shots:
     """Pictures of a replay for one file.
@@ -65,13 +68,16 @@ class Shots:
     Args:
         ending: suffix of the file, one of `SIZES`.
         size: pixels (width, height), of each picture of a strip; default by suffix.
-        fps, speed: pictures per second of a video; seconds of the motion per second of video.
-        start, end: time span in the solution, s; default: the whole motion.
+        fps: pictures per second of a video.
+        speed: seconds of the motion per second of video.
+        start: of the time span in the solution, s; default: of the motion.
+        end: of the time span, s.
         time: of the solution, s, for a single picture.
         strip: number of pictures side by side in a .png, from start to end.
         camera: one of the page's cameras.
         caption: whether there is text.
-        hidden, shown: names of layers.
+        hidden: names of layers.
+        shown: names of layers.
 
     Raises `InputError`, one line, for values out of range and for those that do not fit together.
     """
@@ -79,11 +85,11 @@ class Shots:
     ending: str
     size: tuple[int, int] | None = None
     fps: float | None = None
-    speed: float = 1.0
+    speed: Annotated[float, Range(0.0, FASTEST, above=True)] = 1.0
     start: float | None = None
     end: float | None = None
     time: float | None = None
-    strip: int | None = None
+    strip: Annotated[int, Range(2, MOST_STRIP)] | None = None
     camera: str | None = None
     caption: bool = True
     hidden: Sequence[str] = ()
@@ -93,12 +99,11 @@ class Shots:
         if self.ending not in SIZES:
             name = f"'{self.ending}'" if self.ending else "missing"
             raise InputError(f"the ending of the output is {name}", "allowed: " + ", ".join(SIZES))
-        self._check_numbers()
         self._check_use()
         self._check_size()
         if self.fps is not None and not 1 <= self.fps <= MOST_RATE[self.ending]:
             most = MOST_RATE[self.ending]
-            raise InputError(f"--fps is {self.fps:g}", f"allowed for a {self.ending}: 1 to {most:g}")
+            raise InputError(f"fps is {self.fps:g}", f"allowed for a {self.ending}: 1 to {most:g}")
 
     @property
     def pixels(self) -> tuple[int, int]:
@@ -128,7 +133,7 @@ class Shots:
         """
         allowed = f"allowed: {first:g} to {last:g} s"
         margin = 1e-9 * max(abs(first), abs(last), last - first)
-        for name, value in (("--time", self.time), ("--from", self.start), ("--to", self.end)):
+        for name, value in (("time", self.time), ("start", self.start), ("end", self.end)):
             if value is not None and not first - margin <= value <= last + margin:
                 raise InputError(f"{name} {value:g} s is outside the motion", allowed)
         start = first if self.start is None else self.start
@@ -136,7 +141,7 @@ class Shots:
         if not self.is_video and self.strip is None:
             return np.array([telling if self.time is None else self.time])
         if not start < end:
-            raise InputError(f"--from {start:g} s is not before --to {end:g} s", allowed)
+            raise InputError(f"start {start:g} s is not before end {end:g} s", allowed)
         return np.linspace(start, end, self.strip) if self.strip else self._even_times(start, end)
 
     def _even_times(self, start: float, end: float) -> np.ndarray:
@@ -144,33 +149,23 @@ class Shots:
         step = self.speed / float(self.rate)
         count = math.floor((end - start) / step + SAME_TIME)
         if count >= MOST_PICTURES:
-            raise InputError(f"a video of {count + 1} pictures", f"allowed: {MOST_PICTURES}; lower --fps")
+            raise InputError(f"a video of {count + 1} pictures", f"allowed: {MOST_PICTURES}; lower fps")
         times = start + step * np.arange(count + 1)
         if end - times[-1] > SAME_TIME * step:
             return np.append(times, end)
         times[-1] = end
         return times
 
-    def _check_numbers(self) -> None:
-        """Check the types of numbers: a script may pass anything."""
-        require_speed(self.speed)
-        named = {"--fps": self.fps, "start": self.start, "end": self.end, "time": self.time}
-        for name, value in named.items():
-            if value is not None and not is_number(value):
-                raise InputError(f"{name} is {shown(value)}", "allowed: a finite number")
-        if self.strip is not None and not (isinstance(self.strip, int) and 2 <= self.strip <= MOST_STRIP):
-            raise InputError(f"a strip of {shown(self.strip)} pictures", f"allowed: 2 to {MOST_STRIP}")
-
     def _check_use(self) -> None:
         """Check that every given value applies to this kind of file."""
         one_picture = not self.is_video and self.strip is None
         unused = {
-            "--fps": self.fps is not None and not self.is_video,
-            "--speed": self.speed != 1 and not self.is_video,
-            "--time": self.time is not None and not one_picture,
-            "--strip": self.strip is not None and self.is_video,
-            "--from": self.start is not None and one_picture,
-            "--to": self.end is not None and one_picture,
+            "fps": self.fps is not None and not self.is_video,
+            "speed": self.speed != 1 and not self.is_video,
+            "time": self.time is not None and not one_picture,
+            "strip": self.strip is not None and self.is_video,
+            "start": self.start is not None and one_picture,
+            "end": self.end is not None and one_picture,
         }
         still = "a strip" if self.strip is not None else "a .png of one picture"
         what = f"a {self.ending}" if self.is_video else still
@@ -179,16 +174,13 @@ class Shots:
                 raise InputError(f"{name} has no use for {what}", f"allowed: with {USES[name]}")
 
     def _check_size(self) -> None:
-        pair = isinstance(self.pixels, Sequence) and len(self.pixels) == 2
-        if not pair or not all(isinstance(side, int) for side in self.pixels):
-            raise InputError(f"size is {shown(self.size)}", "allowed: (width, height) in whole pixels")
         width, height = self.pixels
         allowed = f"allowed: WIDTHxHEIGHT, each {LEAST_SIDE} to {MOST_SIDE} pixels, as in 1280x720"
         if not (LEAST_SIDE <= width <= MOST_SIDE and LEAST_SIDE <= height <= MOST_SIDE):
-            raise InputError(f"--size is {width}x{height}", allowed)
+            raise InputError(f"size is {width}x{height}", allowed)
         if self.ending == ".mp4" and (width % 2 or height % 2):
             even = f"{width + width % 2}x{height + height % 2}"
-            raise InputError(f"--size is {width}x{height}", f"a .mp4 needs even numbers, as in {even}")
+            raise InputError(f"size is {width}x{height}", f"a .mp4 needs even numbers, as in {even}")
         if self.canvas[0] > MOST_WIDTH:
             wide = f"{self.strip} pictures of {width} pixels side by side"
             raise InputError(wide, f"allowed: {MOST_WIDTH} pixels")
@@ -245,10 +237,6 @@ def render(
     """
     several = [require_motion(solution) for solution in solutions_of(solutions)]
     target = check_output(Path(target))
-    known = [field.name for field in fields(Shots) if field.name != "ending"]
-    unknown = ", ".join(sorted(set(options) - set(known)))
-    if unknown:
-        raise InputError(f"a rendering has no option {unknown}", f"allowed: {', '.join(known)}")
     shots = Shots(ending=target.suffix.lower(), **options)
     if not several:
         raise InputError("there is nothing to render", "one or more solutions")

@@ -13,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 from pinocchio.visualize.meshcat_visualizer import MeshcatVisualizer, loadMesh
 
+from trajopt.collision.shapes import box_corners
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.errors import InputError
 from trajopt.robot.building import reach
@@ -20,7 +21,7 @@ from trajopt.robot.data import VisualSource
 from trajopt.robot.geometry import DescribedGeometry, described_geometry, mesh_vertices
 from trajopt.solution.solution import Solution
 from trajopt.view.replay.collada import GREY, ColladaError, read_collada
-from trajopt.view.replay.parts import ColouredMeshGeometry, box_corners, placed
+from trajopt.view.replay.parts import ColouredMeshGeometry, placed
 
 BONE_COLOUR, JOINT_COLOUR, FOOT_COLOUR = 0x8A93A0, 0x2F6DB5, 0x303438
 # Radii of a skeleton over its reach.

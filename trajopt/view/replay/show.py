@@ -108,12 +108,12 @@ def replay(
     return Replay(**shown, url=window.web_url, window=window)
 
 
-def serve(shown: Replay, leaving: Callable[[], bool] = bool) -> None:
+def serve(shown: Replay, leaving: Callable[[], bool] | None = None) -> None:
     """Block until Ctrl-C, the end of the server or ``leaving()``, then stop the server of a live replay."""
     if shown.window is None:
         return
     try:
-        while not (leaving() or shown.window.ended(LOOK)):
+        while not ((leaving is not None and leaving()) or shown.window.ended(LOOK)):
             pass
     except KeyboardInterrupt:
         pass

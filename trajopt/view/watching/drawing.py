@@ -15,12 +15,11 @@ from trajopt.solution.solution import Solution
 from trajopt.solving.monitoring import Iterate
 from trajopt.view.replay.commands import Animation, Recorder, ViewerCommand
 from trajopt.view.replay.contacts import TRAIL_COLOURS
-from trajopt.view.replay.layers import caption_line, layer, title
 from trajopt.view.replay.motion import placements, replay_motion, spans
 from trajopt.view.replay.parts import draw_line
 from trajopt.view.replay.robot import draw_robot, draw_skeleton, joint_path, tip_frames
 from trajopt.view.replay.runs import GHOST_COLOUR, draw_copy, messages_below
-from trajopt.view.replay.scene import build_scene
+from trajopt.view.replay.scene import build_scene, caption_line, layer, title
 
 # Frame rate of the animation: its frames are closer than the nodes.
 FRAME_RATE = 30.0

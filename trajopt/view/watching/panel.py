@@ -76,7 +76,7 @@ class ConvergencePanel:
     A context manager; silent unless stderr is a terminal that can move its cursor.
     """
 
-    def __init__(self, title: str, stopping: Callable[[], bool] = bool) -> None:
+    def __init__(self, title: str, stopping: Callable[[], bool] | None = None) -> None:
         self._console = Console(stderr=True, highlight=False, markup=False)
         live = sys.stderr.isatty() and not self._console.is_dumb_terminal
         self._history, self._title, self._stopping, self._frame = History(), title, stopping, 0
@@ -104,9 +104,8 @@ class ConvergencePanel:
         plain = options.ascii_only
         frames = ASCII_FRAMES if plain else FRAMES
         spinner = frames[self._frame % len(frames)]
-        for line in panel_lines(
-            self._history, self._title, width - 2, plain=plain, stopping=self._stopping()
-        ):
+        stopping = self._stopping is not None and self._stopping()
+        for line in panel_lines(self._history, self._title, width - 2, plain=plain, stopping=stopping):
             yield Text(f"{spinner} {line}", no_wrap=True, overflow="crop")
             spinner = " "
 

@@ -1,1 +1,0 @@
-"""Tasks in separate processes behind the interface of `concurrent.futures`, their records and display."""
