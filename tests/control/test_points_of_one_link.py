@@ -3,7 +3,8 @@
 import numpy as np
 
 from trajopt.control.contact_forces import ActiveContact
-from trajopt.control.inverse_dynamics import RELAXED, TaskSpaceInverseDynamics, TickLimits
+from trajopt.control.inverse_dynamics import RELAXED, TaskSpaceInverseDynamics
+from trajopt.control.limits import TickLimits
 from trajopt.control.robot_state import RobotState
 from trajopt.robot import with_edges
 from trajopt.robot.natural_units import NaturalUnits

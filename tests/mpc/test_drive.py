@@ -14,7 +14,7 @@ from trajopt.errors import InputError
 from trajopt.mpc.commands import Command, CommandScript
 from trajopt.mpc.controller import Controller
 from trajopt.mpc.drive_report import command_errors
-from trajopt.mpc.hidden_ground import AHEAD, boxes_ahead, slope_ahead
+from trajopt.mpc.hidden_ground import DISTANCE, boxes_ahead, slope_ahead
 from trajopt.mpc.lockstep import DrivenMotion, drive
 from trajopt.mpc.payload import carrying, payload_numbers
 from trajopt.mpc.planner import PlannerSettings
@@ -107,7 +107,7 @@ def test_durations_that_are_free_change_with_a_push(go2: Robot) -> None:
 
 
 def test_speeds_are_those_of_the_base(walk: DrivenMotion) -> None:
-    q, period = walk.record.qpos, walk.reference.period
+    q, period = walk.record.qpos, walk.timeline.period
     assert walk.velocity.shape == walk.commanded.shape == (2000, 3)
     moved = np.linalg.norm(np.diff(q[:, :2], axis=0), axis=1) / period
     np.testing.assert_allclose(np.linalg.norm(walk.velocity[:, :2], axis=1), moved, atol=NEAR)
@@ -166,8 +166,8 @@ def test_feet_stand_on_a_slope_of_which_the_controller_knows_nothing(go2: Robot)
     assert found.report.passed
     loaded = np.linalg.norm(found.record.force[:, :, :3], axis=2) > 0.1 * go2.weight
     feet = found.record.feet[loaded]
-    surfaces = slope.offset(found.world.place.radii[0])
-    on_slope = feet[:, 0] > AHEAD + 0.05
+    surfaces = slope.offset(found.scene.place.radii[0])
+    on_slope = feet[:, 0] > DISTANCE + 0.05
     assert on_slope.any()
     np.testing.assert_allclose(feet[:, 2], surfaces.height(feet[:, 0], feet[:, 1]), atol=GIVES_WAY)
     assert found.as_solution().description.terrain is slope
@@ -175,7 +175,7 @@ def test_feet_stand_on_a_slope_of_which_the_controller_knows_nothing(go2: Robot)
 
 def test_a_slope_begins_in_front_of_the_robot() -> None:
     slope = slope_ahead(-10.0)
-    x = np.array([-5.0, 0.0, AHEAD, AHEAD + 1.0, AHEAD + 10.0])
+    x = np.array([-5.0, 0.0, DISTANCE, DISTANCE + 1.0, DISTANCE + 10.0])
     heights = [0.0, 0.0, 0.0, *(-math.tan(math.radians(10)) * np.array([1.0, 10.0]))]
     np.testing.assert_allclose(slope.height(x, np.zeros(5)), heights, atol=1e-12)
 
@@ -185,10 +185,10 @@ def test_boxes_are_those_of_their_seed_and_as_high_as_asked_for(go2: Robot) -> N
     first, again, other = (boxes_ahead(go2, 0.2, seed).height(x, y) for seed in (1, 1, 2))
     np.testing.assert_array_equal(first, again)
     assert np.abs(first - other).max() > 0.01
-    assert not first[x < AHEAD].any()
+    assert not first[x < DISTANCE].any()
     assert first.min() == 0.0
     assert 0.15 * go2.length < first.max() <= 0.2 * go2.length
-    assert first[x > AHEAD + 2.9].max() > 0.1 * go2.length
+    assert first[x > DISTANCE + 2.9].max() > 0.1 * go2.length
 
 
 def test_swings_about_a_command_are_no_error_of_the_mean() -> None:

@@ -78,7 +78,7 @@ def test_ground_of_other_heights_is_planned_for() -> None:
     report = simulate(plan, controller=controller).report
     assert report.passed
     assert controller.report.anew == 0
-    last = controller._refer(controller.clock, problem.robot.reference)
+    last = controller._reference_at(controller.clock, problem.robot.reference)
     foot = contact_places(plan).position[-1, 0, 2]
     assert foot > 2 * problem.robot.contacts[0].radius
     assert last.landing_height(problem.robot.contacts[0].name, 0.0) == pytest.approx(foot, abs=1e-4)

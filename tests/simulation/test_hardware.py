@@ -15,10 +15,12 @@ from trajopt.control.reference import reference_of
 from trajopt.errors import InputError
 from trajopt.robot.mujoco_package import muted_mujoco
 from trajopt.robot.natural_units import NaturalUnits
+from trajopt.simulation.joint_feedback import gains_of
 from trajopt.simulation.run import SimulationRun
+from trajopt.simulation.scene import build_scene
 from trajopt.simulation.settings import SimulationSettings
-from trajopt.simulation.simulate import Simulation, simulate
-from trajopt.simulation.world import build_world
+from trajopt.simulation.simulate import Simulation, plan_run, simulate
+from trajopt.simulation.site import Site
 from trajopt_library import robots
 
 # Torques that are computed in another order differ by rounding, N m.
@@ -43,19 +45,16 @@ def arm() -> Solution:
 
 def run_of(plan: Solution, **settings: Any) -> SimulationRun:
     own = SimulationSettings(**settings)
-    return SimulationRun(plan, reference_of(plan, own.control_rate), build_world(plan, own), own)
+    return plan_run(plan, build_scene(Site.of_plan(plan), own), reference_of(plan, own.control_rate), own)
 
 
 def asked(found: Simulation, late: int) -> np.ndarray:
     """Torques (n, nu) of the joints' law on the recorded states ``late`` ticks ago."""
-    run = SimulationRun(found.plan, found.reference, found.world, found.settings)
-    n = len(found.reference.t)
-    rows = np.maximum(np.arange(n) - late, 0)
-    error = found.world.coordinates.from_mujoco(run.qpos) - found.world.coordinates.from_mujoco(
-        found.record.qpos[rows]
-    )
-    rate = run.qvel - found.record.qvel[rows]
-    return np.asarray(run.torque + run.gains.kp * error + run.gains.kd * rate)
+    reference, gains = found.reference, gains_of(found.scene, found.reference, found.settings)
+    rows = np.maximum(np.arange(len(reference.t)) - late, 0)
+    error = reference.q - found.scene.coordinates.from_mujoco(found.record.qpos[rows])
+    rate = reference.v - found.record.qvel[rows]
+    return np.asarray(reference.torque + gains.kp * error + gains.kd * rate)
 
 
 @pytest.mark.parametrize("delay", [0, 1, 7])
@@ -79,8 +78,7 @@ def test_contacts_are_late_with_the_state(stand: Solution) -> None:
 def test_torques_change_at_most_at_their_rate(arm: Solution) -> None:
     rate = 200.0
     found = simulate(arm, torque_rate=rate, noise=0.01)
-    run = SimulationRun(arm, found.reference, found.world, found.settings)
-    change = np.abs(np.diff(np.vstack([run.torque[:1], found.record.torque]), axis=0))
+    change = np.abs(np.diff(np.vstack([found.reference.torque[:1], found.record.torque]), axis=0))
     most = rate * found.reference.period
     assert change.max() <= most + ROUNDING
     assert change.max() == pytest.approx(most)
@@ -152,10 +150,10 @@ def centre_of_mass(run: SimulationRun) -> np.ndarray:
 def test_gains_are_those_of_the_masses_that_the_plan_knows(stand: Solution) -> None:
     nominal, heavier = run_of(stand), run_of(stand, mass_scale=1.2)
     for run in (nominal, heavier):
-        run._enter(0)
+        run.events.enter(0, run.data)
     assert heavier.model.body_mass.sum() == pytest.approx(1.2 * nominal.model.body_mass.sum())
-    np.testing.assert_allclose(heavier.gains.kp, nominal.gains.kp, rtol=1e-9)
-    np.testing.assert_allclose(heavier.gains.kd, nominal.gains.kd, rtol=1e-9)
+    np.testing.assert_allclose(heavier.controller.gains.kp, nominal.controller.gains.kp, rtol=1e-9)
+    np.testing.assert_allclose(heavier.controller.gains.kd, nominal.controller.gains.kd, rtol=1e-9)
 
 
 @pytest.mark.parametrize("mass_scale", [1.0, 1.2])
@@ -169,8 +167,8 @@ def test_the_centre_of_mass_of_the_whole_robot_is_off_by_its_offset(
     q = stand.q[0].copy()
     q[3:7] = pin.Quaternion(pin.rpy.rpyToMatrix(0.2, -0.3, 0.9)).coeffs()
     for run in (nominal, off):
-        run.data.qpos[:] = run.world.coordinates.to_mujoco(q[None])[0]
-        run._enter(0)
+        run.data.qpos[:] = run.scene.coordinates.to_mujoco(q[None])[0]
+        run.events.enter(0, run.data)
     turned = pin.Quaternion(q[3:7]).toRotationMatrix() @ offset
     np.testing.assert_allclose(centre_of_mass(off) - centre_of_mass(nominal), turned, atol=1e-12)
     assert off.model.body_mass.sum() == pytest.approx(nominal.model.body_mass.sum(), rel=1e-12)
@@ -184,8 +182,8 @@ def test_in_a_plane_the_offset_is_forward_and_up() -> None:
     centres = []
     for offset in ((0.0, 0.0, 0.0), (0.02, 0.0, 0.01)):
         run = run_of(plan, com_offset=offset)
-        run.data.qpos[:] = run.world.coordinates.to_mujoco(q[None])[0]
-        run._enter(0)
+        run.data.qpos[:] = run.scene.coordinates.to_mujoco(q[None])[0]
+        run.events.enter(0, run.data)
         centres.append(centre_of_mass(run))
     np.testing.assert_allclose(centres[1] - centres[0], [0.02, 0.0, 0.01], atol=1e-12)
 
@@ -209,13 +207,12 @@ def test_a_foot_stands_as_much_higher_as_its_ground(offset: float, stand: Soluti
     found = simulate(long, controller="whole-body", ground_offsets={frame: offset})
     lifted = found.record.feet[-1, :, 2] - level.feet[-1, :, 2]
     assert lifted == pytest.approx([offset, 0.0, 0.0, 0.0], abs=GIVES_WAY)
-    assert (found.record.force[-1, :, 2] > 0.01 * found.world.units.weight).all()
+    assert (found.record.force[-1, :, 2] > 0.01 * found.scene.units.weight).all()
     assert not found.report.fell
 
 
 def test_links_of_a_leg_have_the_ground_of_its_foot(stand: Solution) -> None:
-    world = run_of(stand, ground_offsets={stand.contact_frames[1]: -0.02}).world
-    compiled = world.compiled
+    compiled = run_of(stand, ground_offsets={stand.contact_frames[1]: -0.02}).scene.compiled
     raised = [i for i in range(compiled.npair) if compiled.pair(i).name.endswith(" terrain.3")]
     touched = {compiled.pair(i).name.split()[0] for i in raised}
     assert touched

@@ -18,8 +18,9 @@ from tests.support.synthetic_motions import Motion, sampled
 from trajopt.robot.robot import Robot
 from trajopt.simulation import write_mjcf
 from trajopt.simulation.mjcf import mjcf_of
+from trajopt.simulation.scene import Scene, build_scene
 from trajopt.simulation.settings import SimulationSettings
-from trajopt.simulation.world import World, build_world
+from trajopt.simulation.site import Site
 from trajopt.solution.solution import Solution
 
 pytestmark = pytest.mark.long
@@ -68,9 +69,9 @@ def standing_still(robot: Robot) -> Solution:
     return sampled(robot, [still], 2)
 
 
-def assert_same_dynamics(plan: Solution, written: mujoco.MjModel, world: World, seed: int) -> None:
+def assert_same_dynamics(plan: Solution, written: mujoco.MjModel, scene: Scene, seed: int) -> None:
     """The equations of motion of a file at a random state are Pinocchio's."""
-    model, coordinates, state = plan.model, world.coordinates, mujoco.MjData(written)
+    model, coordinates, state = plan.model, scene.coordinates, mujoco.MjData(written)
     q, v, _ = random_state(model, seed)
     qpos = coordinates.to_mujoco(q[None])
     state.qpos[:], state.qvel[:] = qpos[0], coordinates.rates_to_mujoco(qpos, v[None])[0]
@@ -99,12 +100,12 @@ def test_file_opens_from_another_folder_and_process_and_is_the_robot(kind: str, 
     assert list(dict.fromkeys(named)) == list(model.names)[1:]
     assert read["motors"] == list(plan.torque_names)
     assert [name for name in read["sites"] if name in plan.contact_frames] == list(plan.contact_frames)
-    world = build_world(plan, SimulationSettings())
+    scene = build_scene(Site.of_plan(plan), SimulationSettings())
     gravity = pin.computeGeneralizedGravity(model, model.createData(), plan.q[0])
-    qpos = world.coordinates.to_mujoco(plan.q[:1])
-    found = world.coordinates.rates_from_mujoco(qpos, np.array([read["gravity"]]))[0]
+    qpos = scene.coordinates.to_mujoco(plan.q[:1])
+    found = scene.coordinates.rates_from_mujoco(qpos, np.array([read["gravity"]]))[0]
     np.testing.assert_allclose(found, gravity, atol=SAME * max(np.abs(gravity).max(), 1.0))
-    assert_same_dynamics(plan, mujoco.MjModel.from_xml_path(str(path)), world, 0)
+    assert_same_dynamics(plan, mujoco.MjModel.from_xml_path(str(path)), scene, 0)
 
 
 @pytest.mark.parametrize("kind", JOINT_KINDS)
@@ -124,7 +125,7 @@ def test_every_kind_of_joint_is_written(kind: str, tmp_path: Path) -> None:
         return
     written = mujoco.MjModel.from_xml_path(str(write_mjcf(plan, target)))
     assert written.nu == plan.tau.shape[1]
-    assert_same_dynamics(plan, written, build_world(plan, SimulationSettings()), 1)
+    assert_same_dynamics(plan, written, build_scene(Site.of_plan(plan), SimulationSettings()), 1)
 
 
 def test_motors_in_the_order_of_tau_accelerate_the_robot_as_planned() -> None:
@@ -141,12 +142,12 @@ def test_motors_in_the_order_of_tau_accelerate_the_robot_as_planned() -> None:
 
 def test_friction_and_ground_are_those_of_the_simulation() -> None:
     plan = solution_of_kind("drives")
-    world = build_world(plan, SimulationSettings())
+    scene = build_scene(Site.of_plan(plan), SimulationSettings())
     written = mujoco.MjModel.from_xml_string(mjcf_of(plan))
     for name in ("dof_damping", "dof_frictionloss", "dof_armature", "body_parentid"):
-        np.testing.assert_allclose(getattr(written, name), getattr(world.compiled, name), rtol=1e-12)
+        np.testing.assert_allclose(getattr(written, name), getattr(scene.compiled, name), rtol=1e-12)
     for name in ("geom_pos", "geom_size", "pair_friction", "pair_solref", "site_pos"):  # six digits
-        own, expected = getattr(written, name), getattr(world.compiled, name)
+        own, expected = getattr(written, name), getattr(scene.compiled, name)
         np.testing.assert_allclose(own, expected, rtol=1e-5, atol=1e-6)
     np.testing.assert_allclose(written.opt.gravity, plan.model.gravity.linear)
 

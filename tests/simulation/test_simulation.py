@@ -91,7 +91,7 @@ def test_robot_falls_as_it_must_without_ground(stand):
 
 
 def _configurations(found):
-    return found.world.coordinates.from_mujoco(found.record.qpos)
+    return found.scene.coordinates.from_mujoco(found.record.qpos)
 
 
 def test_passive_arm_keeps_its_energy():
@@ -126,7 +126,7 @@ def test_flight_with_torques_is_that_of_another_integrator():
 
 def test_feet_of_a_standing_robot_carry_what_the_plan_says(stand):
     found = simulate(stand)
-    weight = found.world.units.weight
+    weight = found.scene.units.weight
     vertical = found.record.force[-1, :, 2]
     np.testing.assert_allclose(vertical, stand.f[-1, :, 2], atol=GIVES_WAY * weight / 4)
     assert vertical.sum() == pytest.approx(weight, rel=1e-3)
@@ -137,7 +137,7 @@ def test_feet_of_a_standing_robot_carry_what_the_plan_says(stand):
 
 def test_heavier_robot_presses_as_hard_as_it_is_heavy(stand):
     found = simulate(stand, mass_scale=1.2)
-    assert found.record.force[-1, :, 2].sum() == pytest.approx(1.2 * found.world.units.weight, rel=0.02)
+    assert found.record.force[-1, :, 2].sum() == pytest.approx(1.2 * found.scene.units.weight, rel=0.02)
     assert found.report.base_error_end > simulate(stand).report.base_error_end
 
 

@@ -134,7 +134,7 @@ def test_what_the_controller_asked_for_is_in_the_simulated_solution(trot: Soluti
     asked, record = found.record.requests, found.record
     assert asked is not None
     assert asked.forces.shape == record.force.shape
-    weight = found.world.units.weight
+    weight = found.scene.units.weight
     assert asked.forces[:, :, 2].sum(axis=1).mean() == pytest.approx(weight, rel=0.02)
     off = np.linalg.norm(asked.forces[:, :, :3] - record.force[:, :, :3], axis=2)
     assert np.median(off) < 0.02 * weight  # most of the time it gets what it asks for

@@ -75,7 +75,7 @@ def turns(session: DriveSession, count: int) -> None:
 
 
 def base(session: DriveSession) -> np.ndarray:
-    return session.run.data.qpos[:3].copy()
+    return session.driven.run.data.qpos[:3].copy()
 
 
 def test_a_robot_follows_what_is_set_and_the_clock_is_kept(session: DriveSession):
@@ -83,10 +83,10 @@ def test_a_robot_follows_what_is_set_and_the_clock_is_kept(session: DriveSession
     for _ in range(SECOND):
         session.obey({})  # the page is there
         turns(session, 1)
-    assert session.passed == pytest.approx(1.0)
+    assert session.driven.passed == pytest.approx(1.0)
     assert session.clock.now() == pytest.approx(1.0)
     assert session.behind == 0
-    assert session.fall is None
+    assert session.driven.fall is None
     assert base(session)[0] > MOVED
     state = json.loads(json.dumps(Painter(session).state(), allow_nan=False))
     assert len(state["joints"]) == session.stand.model.njoints - 1
@@ -121,32 +121,32 @@ def test_what_is_not_allowed_is_refused_and_changes_nothing(session: DriveSessio
 
 def test_a_push_has_its_size_and_direction(session: DriveSession):
     turns(session, 5)
-    weight, before = session.world.units.weight, session.run.data.qvel[:3].copy()
+    weight, before = session.driven.scene.units.weight, session.driven.run.data.qvel[:3].copy()
     session.obey({"push": 6.0, "direction": 90.0, "action": "push"})
     turns(session, 1)
-    gained = session.run.data.qvel[:3] - before
+    gained = session.driven.run.data.qvel[:3] - before
     free = 6.0 / (weight / 9.81)  # without feet, which hold the robot back
     assert 0.3 * free < gained[1] < free
     assert abs(gained[0]) < 0.2 * gained[1]
 
 
 def test_reset_puts_a_fallen_robot_back_with_a_controller_as_new(session: DriveSession):
-    start, first = base(session), session.driver.controller
+    start, first = base(session), session.driver.steering.controller
     session.obey({"push": 13.0, "direction": 0.0})
     for _ in range(40):
         session.obey({"action": "push"})
-    while session.fall is None and session.passed < 2:
+    while session.driven.fall is None and session.driven.passed < 2:
         session.obey({"action": "push"})
         turns(session, 1)
-    assert session.fall is not None
-    stopped = session.passed
+    assert session.driven.fall is not None
+    stopped = session.driven.passed
     turns(session, 3)
-    assert session.passed == stopped
+    assert session.driven.passed == stopped
     session.obey({"action": "reset"})
     turns(session, 10)
-    assert session.fall is None
+    assert session.driven.fall is None
     assert np.abs(base(session) - start).max() < 1e-3
-    assert session.driver.controller is not first
+    assert session.driver.steering.controller is not first
     assert session.driver.gait == "stand"
 
 
@@ -171,7 +171,7 @@ def test_the_last_seconds_are_saved_as_a_drive(session: DriveSession, tmp_path):
     for _ in range(round(2.5 * SECOND)):
         session.obey({})
         turns(session, 1)
-    assert session.driver.offset == pytest.approx(1.0)
+    assert session.driven.offset == pytest.approx(1.0)
     drive = session.as_drive()
     assert drive.script.times == (0.0,)
     assert drive.commanded[-1, 0] == 0.4
@@ -187,9 +187,9 @@ def test_a_controller_as_new_goes_on_like_another(driver: LegsDriver):
         session = DriveSession(driver, clock=Instant(), keep=2.0)
         session.obey({"gait": "trot", "speed": 0.4})
         turns(session, 20)
-        return session.run.data.qpos.copy()
+        return session.driven.run.data.qpos.copy()
 
-    assert isinstance(driver.controller, Controller)
+    assert isinstance(driver.steering.controller, Controller)
     np.testing.assert_allclose(driven(), driven(), atol=AS_NEW)
 
 
@@ -220,30 +220,32 @@ def test_the_drive_of_an_arm_is_saved_with_its_figures(tmp_path):
     driver, start = session.driver, session.driver.target.copy()
     session.obey({"z": start[2] + 0.1})
     turns(session, SECOND + 5)
-    assert driver.offset == pytest.approx(0.5)
+    assert session.driven.offset == pytest.approx(0.5)
     session.obey({"y": start[1] + 0.1})
     turns(session, 5)
     drive = session.as_drive()
-    np.testing.assert_allclose(drive.target[-1], driver.target, atol=driver.path.at(1.2)[1][1] * STRETCH)
+    np.testing.assert_allclose(
+        drive.target[-1], driver.target, atol=driver.steering.path.at(1.2)[1][1] * STRETCH
+    )
     np.testing.assert_allclose(drive.target[0], start + np.array([0, 0, 0.1]), atol=1e-9)
     report = drive.report
     assert report.simulated == pytest.approx(0.7)
     assert [time for time, _ in report.targets] == pytest.approx([0.0, 0.6])
     assert 0 < report.error_mean < report.error_95 < report.error_max < 2 * REACHED
-    assert report.nearest > driver.controller.settings.margin
+    assert report.nearest > driver.steering.controller.settings.margin
     assert report.beyond == 0
     assert 0 < report.rate < 1
     assert "tool from target" in report.table()
     motion = Solution.load(drive.as_solution().save(tmp_path / "run.npz"))
     assert motion.statistics.simulated
     assert motion.statistics.success
-    np.testing.assert_allclose(motion.q[-1], session.run.data.qpos, atol=1e-9)
+    np.testing.assert_allclose(motion.q[-1], session.driven.run.data.qpos, atol=1e-9)
 
 
 def test_a_simulation_that_diverges_is_saved_up_to_there(tmp_path):
     session = DriveSession(ArmDriver(robot("panda")), clock=Instant(), keep=1.0)
     turns(session, 5)
-    session.run.data.qvel[:] = np.nan
+    session.driven.run.data.qvel[:] = np.nan
     turns(session, 5)
     drive = session.as_drive()
     assert drive.report.fell
@@ -290,7 +292,7 @@ def test_a_second_drive_takes_another_port_and_a_port_that_is_taken_is_told(live
 def test_it_ends_after_its_time(live: LiveDrive):
     live.session.reset()
     live.run(seconds=0.1)
-    assert live.session.passed == pytest.approx(0.1)
+    assert live.session.driven.passed == pytest.approx(0.1)
 
 
 def test_what_does_not_fit_is_one_line():

@@ -25,11 +25,11 @@ from trajopt.solution.output import check_apart, check_solution_output
 
 if TYPE_CHECKING:
     from trajopt.collision import Obstacle
+    from trajopt.mpc.arm_drive import ArmDrive
     from trajopt.mpc.lockstep import DrivenMotion
     from trajopt.robot.robot import Robot
     from trajopt.simulation.settings import Impulse
     from trajopt.terrain.piecewise import PiecewiseTerrain
-    from trajopt.view.driving.arm_drive import ArmDrive
 
 # Options of drives by a script.
 SCRIPTED = {
@@ -131,12 +131,12 @@ def drive_command(
     if slope is not None and boxes is not None:
         raise InputError("--slope and --boxes are both given", "allowed: one of them")
     from trajopt.mpc.arm import ArmSettings
+    from trajopt.mpc.arm_drive import drive_arm, read_targets
     from trajopt.mpc.commands import read_commands
     from trajopt.mpc.lockstep import drive
     from trajopt.mpc.receding import ControllerSettings
     from trajopt.robot.catalogue import robot as load
     from trajopt.schedule.gaits import gait_names
-    from trajopt.view.driving.scripted import drive_arm, read_targets
 
     loaded = load(robot)
     driving = busy(f"driving {loaded.name} in MuJoCo by {script}")
@@ -177,6 +177,10 @@ def _live(robot: str, output: Path | None, how: dict[str, Any], **options: Any) 
     from trajopt.view.driving.live import LiveDrive
 
     loaded = load(robot)
+    if loaded.base == "fixed" and not options["target"]:
+        raise InputError(
+            f"robot '{loaded.name}' has a fixed base", "allowed: with --target, an arm's tool follows"
+        )
     with busy(f"preparing {loaded.name}"):
         live = LiveDrive(loaded, **options)
     with live, INTERRUPTION.deferring():
@@ -186,7 +190,7 @@ def _live(robot: str, output: Path | None, how: dict[str, Any], **options: Any) 
         session = live.session
         if output is not None:
             session.as_drive().as_solution().save(output)
-    say(f"{loaded.name}: {session.passed:.1f} s simulated, {session.behind:.1f} s behind the clock")
+    say(f"{loaded.name}: {session.driven.passed:.1f} s simulated, {session.behind:.1f} s behind the clock")
     return 0
 
 

@@ -1,8 +1,8 @@
 from .contact_forces import ActiveContact as ActiveContact
 from .gains import TrackerGains as TrackerGains
 from .inverse_dynamics import TaskSpaceInverseDynamics as TaskSpaceInverseDynamics
-from .inverse_dynamics import TickLimits as TickLimits
 from .inverse_dynamics import TickResult as TickResult
+from .limits import TickLimits as TickLimits
 from .robot_state import RobotState as RobotState
 from .task_space import TaskSpaceController as TaskSpaceController
 from .tasks import AngularMomentumTask as AngularMomentumTask

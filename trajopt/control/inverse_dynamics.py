@@ -21,10 +21,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import accumulate, pairwise
+from typing import Self
 
 import numpy as np
+import pinocchio as pin
 
 from trajopt.control.contact_forces import ActiveContact
+from trajopt.control.gains import TrackerGains
+from trajopt.control.limits import TickLimits
 from trajopt.control.quadratic_programs import (
     UNBOUNDED,
     QpRows,
@@ -36,6 +40,7 @@ from trajopt.control.robot_state import RobotState
 from trajopt.control.tasks import Task
 from trajopt.errors import InputError
 from trajopt.robot.actuators.actuation import Actuation
+from trajopt.robot.natural_units import NaturalUnits
 
 # Weight of relaxed contact rows, relative to a task of weight one.
 PENALTY = 1e4
@@ -43,21 +48,6 @@ REGULARISATION = 1e-8  # weight of every scaled unknown: keeps programs strictly
 # Relative singular value below which contact rows are dependent: several points on one link, up to rounding.
 DEPENDENT = 1e-8
 RELAXED = ("nothing", "joint limits", "contacts", "everything")
-
-
-@dataclass(frozen=True, kw_only=True)
-class TickLimits:
-    """Limits at a tick.
-
-    Args:
-        torque: least and largest inputs (nu,), N m or N.
-        acceleration: least and largest accelerations of the actuated joints, rad/s^2 or m/s^2.
-        friction: friction torques of the drives (nu,), N m.
-    """
-
-    torque: tuple[np.ndarray, np.ndarray]
-    acceleration: tuple[np.ndarray, np.ndarray]
-    friction: np.ndarray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,6 +89,38 @@ class TaskSpaceInverseDynamics:
     damping: float
     solver: QpSolverName = "piqp"
     _solvers: dict[tuple[object, ...], QuadraticSolver] = field(default_factory=dict, init=False)
+
+    @classmethod
+    def of(
+        cls,
+        state: RobotState,
+        actuation: Actuation,
+        units: NaturalUnits,
+        *,
+        damping: float = TrackerGains().contact,
+        solver: QpSolverName = "piqp",
+    ) -> Self:
+        """Programs scaled by the natural units of the robot; ``damping`` is in these units, too."""
+        return cls(
+            state=state,
+            actuation=actuation,
+            acceleration_unit=units.acceleration(state.model),
+            force_units=(units.weight, units.weight * units.length),
+            torque_unit=units.generalized_force(state.model),
+            damping=damping / units.time,
+            solver=solver,
+        )
+
+    def held(self, bandwidth: float, q: np.ndarray, v: np.ndarray, torque: np.ndarray) -> np.ndarray:
+        """Torques (nu,) with joint feedback towards q (nq,), v (nv,), for ticks without a solution.
+
+        The bandwidth is in 1/s.
+        """
+        state, rows, held = self.state, self.actuation.rows, torque.copy()
+        error, rate = pin.difference(state.model, state.q, q)[rows], (v - state.v)[rows]
+        inertia = np.diagonal(state.mass)[rows]
+        held[: len(rows)] += inertia * (bandwidth**2 * error + 2 * bandwidth * rate)
+        return held
 
     def solve(
         self, contacts: Sequence[ActiveContact], tasks: Sequence[Task], limits: TickLimits

@@ -43,7 +43,7 @@ LANDS = 0.6
 # Time in which a foot that lost the ground moves to its place, over sqrt(l / g).
 FOLLOWS = 0.2
 # Distance of footholds from the centre of mass over that of the capture point: above one leads it back.
-BEYOND = 1.1
+OVERSHOOT = 1.1
 # Distances from the hip within which feet land, and beyond which they are lifted, over the reach of the leg:
 # a stretched leg can neither brake nor keep a contact within its joint limits.
 STRETCHED, TORN = 0.93, 0.98
@@ -269,7 +269,7 @@ class Recovery:
     def _foothold(self, i: int, below: np.ndarray, hip: np.ndarray, then: FallingMass) -> np.ndarray:
         """Foothold (3,) that catches the body, within the leg's reach, for a foot that belongs ``below``."""
         step = below - hip
-        step[:2] += BEYOND * (then.capture - then.place)
+        step[:2] += OVERSHOOT * (then.capture - then.place)
         longest = max((STRETCHED * self._legs[i].reach) ** 2 - float(step[2]) ** 2, 0.0) ** 0.5
         step[:2] *= min(1.0, longest / max(float(np.linalg.norm(step[:2])), longest, 1e-9))
         return np.asarray(hip + step)

@@ -1,5 +1,7 @@
 """The plan on the grid of the controller: motion, torques and contacts for each period."""
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -25,28 +27,70 @@ MOST_PERIODS = 200_000
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReferenceTrajectory:
-    """A plan at the starts of n periods of the controller.
+class Timeline:
+    """Ticks of a controller, and the phase and contacts of each.
 
-    ``t`` (n,) and ``period`` are in s, ``q`` (n, nq) and ``v`` (n, nv) Pinocchio's. The ``torque`` of the
-    drives (n, nu) and ``a`` (n, nv) are in the middle of each period; if a phase ends within it, ``a`` is the
-    mean. ``f`` (n, nc, 6) are forces of the surroundings on ``active`` (n, nc) contacts. ``phase`` (n,) is an
-    index into ``phase_names``, ``source`` (n,) the phase of the file. ``held`` periods follow the plan, which
-    ends at ``end`` (nq,).
+    Args:
+        t: start of each tick (n,), s.
+        period: duration of a tick, s.
+        active: whether each contact is meant to stand (n, nc).
+        phase: index (n,) into ``phase_names``.
+        source: phase (n,) of the motion that is repeated; another index than ``phase`` in later cycles.
+        phase_names: names of the phases.
+        held: number of ticks that follow the motion, which holds its end.
     """
 
     t: np.ndarray
     period: float
+    active: np.ndarray
+    phase: np.ndarray
+    source: np.ndarray
+    phase_names: tuple[str, ...]
+    held: int = 0
+
+    @property
+    def planned(self) -> int:
+        """Number of ticks of the motion itself."""
+        return len(self.t) - self.held
+
+    @classmethod
+    def of_one_phase(cls, name: str, rate: float, duration: float, active: np.ndarray) -> Timeline:
+        """One phase of ``duration`` s at ``rate`` Hz, with ``active`` contacts (nc,). Raises `InputError`."""
+        require_few_ticks(duration * rate, "a lower control_rate or a shorter duration")
+        count = max(1, round(duration * rate))
+        return cls(
+            t=np.arange(count) / rate,
+            period=1.0 / rate,
+            active=np.tile(active, (count, 1)),
+            phase=np.zeros(count, dtype=int),
+            source=np.zeros(count, dtype=int),
+            phase_names=(name,),
+        )
+
+    def until(self, count: int) -> Timeline:
+        """The first ``count`` ticks."""
+        rows = {name: getattr(self, name)[:count] for name in ("t", "active", "phase", "source")}
+        return replace(self, **rows)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReferenceTrajectory(Timeline):
+    """A plan at the starts of n periods of the controller.
+
+    Args:
+        q: configurations (n, nq), Pinocchio's.
+        v: velocities (n, nv).
+        a: accelerations (n, nv) in the middle of each period; their mean if a phase ends within it.
+        torque: torques of the drives (n, nu) in the middle of each period.
+        f: forces (n, nc, 6) of the surroundings on active contacts.
+        end: configuration (nq,) at the end of the plan.
+    """
+
     q: np.ndarray
     v: np.ndarray
     a: np.ndarray
     torque: np.ndarray
     f: np.ndarray
-    active: np.ndarray
-    phase: np.ndarray
-    source: np.ndarray
-    phase_names: tuple[str, ...]
-    held: int
     end: np.ndarray
 
     @property
@@ -54,11 +98,6 @@ class ReferenceTrajectory:
         """Begin and end of the intervals of periods with constant contacts."""
         changes = np.flatnonzero((self.active[1:] != self.active[:-1]).any(axis=1)) + 1
         return list(pairwise([0, *changes.tolist(), len(self.active)]))
-
-    @property
-    def planned(self) -> int:
-        """Number of periods of the plan itself."""
-        return len(self.t) - self.held
 
 
 def reference_of(plan: Solution, rate: float, cycles: int = 1, *, hold: float = HOLD) -> ReferenceTrajectory:
@@ -68,24 +107,15 @@ def reference_of(plan: Solution, rate: float, cycles: int = 1, *, hold: float = 
     """
     whole = passes_of(plan, cycles)
     periods = float(plan.interval_t[-1, 1] - plan.interval_t[0, 0]) * rate * whole
-    _require_few(periods, "a lower --control-rate or fewer --cycles")
+    require_few_ticks(periods, "a lower control_rate or fewer cycles")
     one = _once(plan, rate)
     if whole > 1:
         one = _repeated(plan, one, whole)
     return _with_hold(plan, one, hold)
 
 
-def stance_reference(plan: Solution, rate: float, duration: float) -> ReferenceTrajectory:
-    """The start of a plan at rest, held for ``duration`` s in place of the plan. Raises `InputError`."""
-    _require_few(duration * rate, "a lower --control-rate or a shorter duration")
-    count = max(1, round(duration * rate))
-    start = _once(plan, 1.0 / float(plan.interval_t[-1, 1] - plan.interval_t[0, 0]))
-    names = ("q", "v", "a", "torque", "f", "active", "phase", "source")
-    held: dict[str, Any] = {name: np.repeat(getattr(start, name), count, axis=0) for name in names}
-    return replace(start, t=np.arange(count) / rate, period=1.0 / rate, **held)
-
-
-def _require_few(periods: float, remedy: str) -> None:
+def require_few_ticks(periods: float, remedy: str) -> None:
+    """Raise `InputError` for a simulation of too many periods of its controller."""
     if periods > MOST_PERIODS:
         raise InputError(
             f"a simulation of {periods:.3g} periods of its controller", f"allowed: {MOST_PERIODS}; {remedy}"

@@ -12,7 +12,7 @@ LEVEL = np.array([1.0, 1.0, 0.0])
 # Least height of the pendulum over a support, over l.
 LOWEST = 0.1
 # Matrix of the cross product of the vertical with a vector.
-TURNED = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+QUARTER_TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Support:
         There is one for each of ``axes``, a quarter turn to its left, whose level part has unit length. With
         feet at different heights the line slopes: about a level one the forces would have a lever.
         """
-        directions = self.axes @ TURNED.T
+        directions = self.axes @ QUARTER_TURN.T
         if len(directions) == 1:
             apart = self.places - self.places.mean(axis=0)
             along = apart @ directions[0]
@@ -62,7 +62,7 @@ class Support:
         """The nearest acceleration (3,) from a centre of pressure between feet on a line, m/s^2."""
         if len(self.axes) != 1:
             return acceleration
-        line = TURNED @ self.axes[0]
+        line = QUARTER_TURN @ self.axes[0]
         given = self.rate**2 * ((com - self.places) @ line)
         total = float(line @ acceleration)
         return np.asarray(acceleration + line * (np.clip(total, given.min(), given.max()) - total))

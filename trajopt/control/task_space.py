@@ -7,15 +7,13 @@ import pinocchio as pin
 
 from trajopt.arguments import NonNegative, Positive, checked
 from trajopt.control.contact_forces import ActiveContact
-from trajopt.control.gains import TrackerGains
 from trajopt.control.inverse_dynamics import (
     RELAXED,
     QpSolverName,
     TaskSpaceInverseDynamics,
-    TickLimits,
     TickResult,
 )
-from trajopt.control.limits import JointRange, friction_of_drives, limits_with_drives
+from trajopt.control.limits import RobotLimits
 from trajopt.control.robot_state import RobotState
 from trajopt.control.tasks import (
     AngularMomentumTask,
@@ -62,11 +60,10 @@ class TaskSpaceController:
     ) -> None:
         self.robot, self.friction = robot, friction
         self.last: TickResult | None = None
-        self._program = program_of(robot, solver)
-        self.state = self._program.state
-        self._range = JointRange(
-            robot.limited_model(), robot.actuated_rows, robot.velocity_limit, horizon, critical=True
-        )
+        self.state = RobotState(robot.model, robot.joint_forces)
+        units = NaturalUnits.of(robot.model)
+        self._program = TaskSpaceInverseDynamics.of(self.state, robot.actuation, units, solver=solver)
+        self._limits = RobotLimits.of(robot, horizon, critical=True)
         self._small = RegularisationTask(weight=SMALL, unit=self._program.acceleration_unit)
 
     @checked
@@ -92,9 +89,8 @@ class TaskSpaceController:
         for task in tasks:
             require_task(task, robot)
         self.state.update(q, v)
-        limits = limits_at(robot, self._range, q, v)
         standing = [standing_contact(robot, robot.contact(name), self.friction) for name in names]
-        self.last = self._program.solve(standing, [*tasks, self._small], limits)
+        self.last = self._program.solve(standing, [*tasks, self._small], self._limits.at(q, v))
         if RELAXED[self.last.relaxed] == "everything":
             what = "no torques within the limits hold the robot at this state"
             raise InputError(what, "another state, or other contacts")
@@ -109,20 +105,6 @@ class TaskSpaceController:
         return np.asarray(pin.integrate(self.robot.model, q, dt * v)), v
 
 
-def program_of(robot: Robot, solver: QpSolverName) -> TaskSpaceInverseDynamics:
-    """The quadratic programs of a robot in its natural units, with a `RobotState` of their own."""
-    model, units = robot.model, NaturalUnits.of(robot.model)
-    return TaskSpaceInverseDynamics(
-        state=RobotState(model, robot.joint_forces),
-        actuation=robot.actuation,
-        acceleration_unit=units.acceleration(model),
-        force_units=(units.weight, units.weight * units.length),
-        torque_unit=units.generalized_force(model),
-        damping=TrackerGains().contact / units.time,
-        solver=solver,
-    )
-
-
 def standing_contact(robot: Robot, contact: Contact, friction: float) -> ActiveContact:
     """A contact that stands on level ground with Coulomb's coefficient ``friction``."""
     return ActiveContact(
@@ -132,17 +114,6 @@ def standing_contact(robot: Robot, contact: Contact, friction: float) -> ActiveC
         normal=UP,
         friction=friction,
         half_size=(contact.half_length, contact.half_width),
-    )
-
-
-def limits_at(robot: Robot, joint_range: JointRange, q: np.ndarray, v: np.ndarray) -> TickLimits:
-    """Limits of a robot's torques, including its drives, and of its joints at a state (nq,), (nv,)."""
-    rate, drives = robot.actuation.rates(v), robot.drives or (None,) * robot.nu
-    high = np.full(robot.nu, np.inf) if robot.torque_limit is None else robot.torque_limit
-    return TickLimits(
-        torque=limits_with_drives(drives, rate, robot.least_torque(high), high),
-        acceleration=joint_range.bounds(q, v[robot.actuated_rows]),
-        friction=friction_of_drives(drives, rate),
     )
 
 

@@ -1,13 +1,14 @@
-"""The request of a tracker's tick: contact forces, and goals of the centre of mass and of swinging feet."""
+"""What a tracker reports of its ticks: requested forces and goals, counts and times."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from trajopt.control.contact_forces import ActiveContact
+from trajopt.control.inverse_dynamics import RELAXED
 from trajopt.control.tasks import CenterOfMassTask, FrameTask, Task
 
 
@@ -58,3 +59,17 @@ class TickRequest:
             elif isinstance(task, FrameTask) and task.frame in frames:
                 request.feet[frames.index(int(task.frame))] = task.pose.translation
         return request
+
+
+@dataclass
+class TickCounts:
+    """Ticks so far, their number by what was relaxed (see `RELAXED`), solver iterations, and times in s.
+
+    ``slack`` is the largest one of a `TickResult`.
+    """
+
+    ticks: int = 0
+    relaxed: list[int] = field(default_factory=lambda: [0] * len(RELAXED))
+    iterations: int = 0
+    slack: float = 0.0
+    times: list[float] = field(default_factory=list)

@@ -6,12 +6,11 @@ import copy
 import time
 
 import numpy as np
-import pinocchio as pin
 
 from trajopt.arguments import Positive, PositiveCount, checked
 from trajopt.control.gains import TrackerGains
-from trajopt.control.inverse_dynamics import RELAXED, TaskSpaceInverseDynamics, TickLimits, TickResult
-from trajopt.control.limits import JointRange, friction_of_drives, limits_with_drives, torque_limits
+from trajopt.control.inverse_dynamics import RELAXED, TaskSpaceInverseDynamics, TickResult
+from trajopt.control.limits import RobotLimits, torque_limits
 from trajopt.control.measured_contacts import MeasuredContacts
 from trajopt.control.plan_targets import PlanTargets, plan_targets, tracking_model
 from trajopt.control.plan_tasks import PlanTasks
@@ -20,8 +19,7 @@ from trajopt.control.recovery import Recovery
 from trajopt.control.recovery_tasks import RecoveryTasks
 from trajopt.control.reference import ReferenceTrajectory, reference_of
 from trajopt.control.robot_state import RobotState
-from trajopt.control.tick_counts import TickCounts
-from trajopt.control.tick_request import TickRequest
+from trajopt.control.tick_request import TickCounts, TickRequest
 from trajopt.errors import InputError
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.robot.robot import Robot
@@ -82,9 +80,9 @@ class Tracker:
         self.last: TickResult | None = None
         self.request = TickRequest.none(len(plan.contact_frames))
         self._programs: dict[int, TaskSpaceInverseDynamics] = {}
-        self._low, self._high = torque_limits(plan)
+        torque = torque_limits(plan.description, plan.tau.shape[1])
         fastest, horizon = plan.description.velocity_limit, HORIZON * self.reference.period
-        self._range = JointRange(plan.model, plan.actuated_rows, fastest, horizon)
+        self._limits = RobotLimits(plan.model, plan.actuation, plan.drives, torque, fastest, horizon)
         tracked = plan, self.reference, self.targets
         self._contacts = MeasuredContacts(*tracked)
         self._tasks = PlanTasks(*tracked, gains)
@@ -125,7 +123,7 @@ class Tracker:
         self.request = TickRequest.none(len(frames))
         if np.abs(v).max() * self.units.time > TOO_FAST:
             self.counts.relaxed[RELAXED.index("everything")] += 1
-            return self._held(k, state)
+            return self._held(k, program)
         step = self._recovery.step(k, t, state, contacts)
         active = self._contacts.active(k, contacts) if step is None else step.active
         self._tasks.stand(k, active, state)
@@ -134,7 +132,7 @@ class Tracker:
             tasks = self._tasks.of(k, active, self._contacts, state)
         else:
             tasks = self._recovery_tasks.of(k, step, state)
-        result = program.solve(taken, tasks, self._limits(q, v))
+        result = program.solve(taken, tasks, self._limits.at(q, v))
         self.request = TickRequest.of(result.forces, taken, tasks, self.targets.com[k, 0], frames)
         self.counts.relaxed[result.relaxed] += 1
         self.counts.iterations += result.iterations
@@ -142,43 +140,23 @@ class Tracker:
         self.counts.times.append(time.perf_counter() - begin)
         self.last = result
         if RELAXED[result.relaxed] == "everything":
-            return self._held(k, state)
+            return self._held(k, program)
         return result.torque
 
     def _program(self, phase: int) -> TaskSpaceInverseDynamics:
         if phase not in self._programs:
-            self._programs[phase] = TaskSpaceInverseDynamics(
-                state=RobotState(tracking_model(self.plan, phase), self.plan.description.joint_forces),
-                actuation=self.plan.actuation,
-                acceleration_unit=self.units.acceleration(self.plan.model),
-                force_units=(self.units.weight, self.units.weight * self.units.length),
-                torque_unit=self.units.generalized_force(self.plan.model),
-                damping=self.gains.contact / self.units.time,
-                solver=self.solver,
+            model, damping = tracking_model(self.plan, phase), self.gains.contact
+            state = RobotState(model, self.plan.description.joint_forces)
+            self._programs[phase] = TaskSpaceInverseDynamics.of(
+                state, self.plan.actuation, self.units, damping=damping, solver=self.solver
             )
         return self._programs[phase]
 
-    def _limits(self, q: np.ndarray, v: np.ndarray) -> TickLimits:
-        rate, drives = self.plan.actuation.rates(v), self.plan.drives
-        low, high, friction = self._low, self._high, np.zeros(len(rate))
-        if any(drive is not None for drive in drives):
-            low, high = limits_with_drives(drives, rate, low, high)
-            friction = friction_of_drives(drives, rate)
-        return TickLimits(
-            torque=(low, high),
-            acceleration=self._range.bounds(q, rate[: len(self._range.index)]),
-            friction=friction,
-        )
-
-    def _held(self, k: int, state: RobotState) -> np.ndarray:
+    def _held(self, k: int, program: TaskSpaceInverseDynamics) -> np.ndarray:
         """Planned torques with joint feedback, for ticks whose program has no solution."""
-        rows, w = self.plan.actuated_rows, self.gains.joint / self.units.time
-        inertia = np.diagonal(state.mass)[rows]
-        error = pin.difference(state.model, state.q, self.reference.q[k])[rows]
-        rate = (self.reference.v[k] - state.v)[rows]
-        wanted = self.reference.torque[k].copy()
-        wanted[: len(rows)] += inertia * (w**2 * error + 2 * w * rate)
-        return np.asarray(np.clip(wanted, self._low, self._high))
+        reference, bandwidth = self.reference, self.gains.joint / self.units.time
+        held = program.held(bandwidth, reference.q[k], reference.v[k], reference.torque[k])
+        return np.asarray(np.clip(held, *self._limits.torque))
 
 
 def _require_robot(plan: Solution, robot: Robot) -> None:

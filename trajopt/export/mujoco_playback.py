@@ -11,10 +11,11 @@ from trajopt.control.reference import ReferenceTrajectory
 from trajopt.export.archives import contact_arrays, names_array, write_archive
 from trajopt.export.exported_motion import ExportedMotion, single_joints
 from trajopt.robot.mujoco_package import mujoco_package, muted_mujoco
-from trajopt.simulation.gains import gains_of
-from trajopt.simulation.mjcf import mjcf_of_world
+from trajopt.simulation.joint_feedback import gains_of
+from trajopt.simulation.mjcf import mjcf_of_scene
+from trajopt.simulation.scene import Scene, build_scene
 from trajopt.simulation.settings import SimulationSettings
-from trajopt.simulation.world import World, build_world
+from trajopt.simulation.site import Site
 
 MODEL, ARRAYS, TABLE = "model.xml", "controls.npz", "controls.csv"
 # Suffixes of the coordinate names of a free joint; other joints have one coordinate each.
@@ -29,10 +30,10 @@ def write_mujoco_playback(motions: Sequence[ExportedMotion], path: Path, options
     """
     (motion,) = motions
     with muted_mujoco():
-        world = build_world(motion.plan, SimulationSettings())
-        text = mjcf_of_world(motion.plan, world)
+        scene = build_scene(Site.of_plan(motion.plan), SimulationSettings())
+        text = mjcf_of_scene(motion.plan, scene)
         compiled = mujoco_package().MjModel.from_xml_string(text)
-        arrays = _playback_arrays(motion, world)
+        arrays = _playback_arrays(motion, scene)
     (path / MODEL).write_text(text, encoding="utf-8")
     named = {
         "actuator_names": names_array([compiled.actuator(i).name for i in range(compiled.nu)]),
@@ -43,17 +44,17 @@ def write_mujoco_playback(motions: Sequence[ExportedMotion], path: Path, options
     _write_table(path / TABLE, arrays, named)
 
 
-def _playback_arrays(motion: ExportedMotion, world: World) -> dict[str, np.ndarray]:
+def _playback_arrays(motion: ExportedMotion, scene: Scene) -> dict[str, np.ndarray]:
     """Times (n,), torques and gains (n, nu) in the order of the motors, states (n, nq), (n, nv), and grasps.
 
     A motor's torque is that of its drive, since the model includes the joints' friction.
     """
-    coordinates, joints = world.coordinates, single_joints(motion.plan)
+    coordinates, joints = scene.coordinates, single_joints(motion.plan)
     qpos = coordinates.to_mujoco(motion.q)
     addresses = [coordinates.addresses[motion.model.getJointId(name) - 1].q for name in joints.names]
     for place, angle in zip(addresses, motion.joint_position.T, strict=True):
         qpos[:, place] = angle[:, None]  # counts turns even if samples are far apart
-    gains = gains_of(motion.plan, world, _reference(motion, world), SimulationSettings())
+    gains = gains_of(scene, _reference(motion, scene), SimulationSettings())
     return {
         "time": motion.t,
         "ctrl": motion.drive_torque,
@@ -61,15 +62,15 @@ def _playback_arrays(motion: ExportedMotion, world: World) -> dict[str, np.ndarr
         "qvel": coordinates.rates_to_mujoco(qpos, motion.v),
         "kp": gains.kp,
         "kd": gains.kd,
-        "eq_active": _held_grasps(motion, world),
+        "eq_active": _held_grasps(motion, scene),
     }
 
 
-def _reference(motion: ExportedMotion, world: World) -> ReferenceTrajectory:
+def _reference(motion: ExportedMotion, scene: Scene) -> ReferenceTrajectory:
     """The motion as `gains_of` takes it; feedback acts at every physics step."""
     return ReferenceTrajectory(
         t=motion.t,
-        period=float(world.compiled.opt.timestep),
+        period=float(scene.compiled.opt.timestep),
         q=motion.q,
         v=motion.v,
         a=motion.a,
@@ -79,7 +80,6 @@ def _reference(motion: ExportedMotion, world: World) -> ReferenceTrajectory:
         phase=motion.phase,
         source=_phase_of_plan(motion),
         phase_names=motion.phase_names,
-        held=0,
         end=motion.q[-1],
     )
 
@@ -89,10 +89,10 @@ def _phase_of_plan(motion: ExportedMotion) -> np.ndarray:
     return np.asarray(motion.phase % len(motion.plan.phase_names))
 
 
-def _held_grasps(motion: ExportedMotion, world: World) -> np.ndarray:
+def _held_grasps(motion: ExportedMotion, scene: Scene) -> np.ndarray:
     """Whether each grasp is active (n, neq), in the order of the model's equality constraints."""
     phase = _phase_of_plan(motion)
-    return np.array([np.isin(phase, grasp.phases) for grasp in world.grasps]).reshape(-1, len(phase)).T
+    return np.array([np.isin(phase, grasp.phases) for grasp in scene.site.grasps]).reshape(-1, len(phase)).T
 
 
 def _coordinate_names(compiled: Any, of_free: Sequence[str]) -> list[str]:

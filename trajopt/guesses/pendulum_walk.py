@@ -14,7 +14,8 @@ import pinocchio as pin
 
 from trajopt.arguments import NonNegative, Positive, PositiveCount, checked
 from trajopt.control.contact_forces import ActiveContact
-from trajopt.control.inverse_dynamics import TaskSpaceInverseDynamics, TickLimits
+from trajopt.control.inverse_dynamics import TaskSpaceInverseDynamics
+from trajopt.control.limits import TickLimits
 from trajopt.control.robot_state import RobotState
 from trajopt.control.tasks import ContactForceTask, PostureTask
 from trajopt.dynamics.model_quantities import joints_of_rows
@@ -177,14 +178,8 @@ class _Samples:
         self.units = units = NaturalUnits.of(self.robot.model)
         self.step = DIFFERENCE * units.time
         self.unit = units.acceleration(self.robot.model)
-        self.dynamics = TaskSpaceInverseDynamics(
-            state=RobotState(self.robot.model),
-            actuation=self.robot.actuation,
-            acceleration_unit=self.unit,
-            force_units=(units.weight, units.weight * units.length),
-            torque_unit=units.generalized_force(self.robot.model),
-            damping=0.0,
-        )
+        state = RobotState(self.robot.model)
+        self.dynamics = TaskSpaceInverseDynamics.of(state, self.robot.actuation, units, damping=0.0)
 
     def solution(self) -> Solution:
         """Return the sampled motion as a solution. Raises `_OutOfReachError`."""

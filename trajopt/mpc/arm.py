@@ -14,7 +14,6 @@ Int. J. Robotics Research 33, 2014, sec. V).
 
 from __future__ import annotations
 
-import time as clocks
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -28,13 +27,13 @@ from trajopt.arguments import NonNegative, Positive, PositiveCount, checked
 from trajopt.collision.description import robot_shapes
 from trajopt.collision.near import CollisionScene, ShapePair
 from trajopt.collision.shapes import Obstacle
-from trajopt.control.limits import JointRange
-from trajopt.control.task_space import limits_at
+from trajopt.control.limits import RobotLimits
 from trajopt.errors import InputError, finite_array
 from trajopt.mpc.follow import HORIZON
 from trajopt.mpc.horizon import Horizon, Numbers, Pattern
-from trajopt.mpc.motion import HorizonMotion, predicted, require_state
-from trajopt.mpc.plans import FRESH, ControllerReport, Plans, SolverSettings
+from trajopt.mpc.motion import FollowedSample, HorizonMotion, predicted, require_state
+from trajopt.mpc.plans import FRESH, Plans, SolverSettings
+from trajopt.mpc.receding import RecedingHorizon
 from trajopt.mpc.shifting import resampled
 from trajopt.robot.contact import require_frame
 from trajopt.robot.robot import Robot
@@ -171,7 +170,7 @@ class NearLinks(PointConstraint):
         return Rows.create(ca.vertcat(*apart), 0.0, np.inf, units.length) if apart else None
 
 
-class ArmController:
+class ArmController(RecedingHorizon):
     """Receding-horizon control of a fixed-base robot whose tool follows a target.
 
     Args:
@@ -193,7 +192,8 @@ class ArmController:
     ) -> None:
         if robot.base != "fixed":
             raise InputError(f"robot '{robot.name}' has a {robot.base} base", "allowed: a fixed base, an arm")
-        self.robot, self.settings = robot, settings or ArmSettings()
+        self.settings = w = settings or ArmSettings()
+        super().__init__(robot, Plans(w.period, w.delay, live=w.live))
         self.tool = tool or robot.model.frames[robot.model.nframes - 1].name
         require_frame(robot.model, self.tool, "the tool")
         self.scene: CollisionScene = robot_shapes(robot).scene(robot.model, None, obstacles)
@@ -201,7 +201,6 @@ class ArmController:
         self.pairs: tuple[ShapePair, ...] = self.scene.pairs
         frames = tuple((moving.get(a), moving.get(b)) for a, b in self.pairs)
         self._least = self._margins()
-        w = self.settings
         terms = (
             TargetCost(weight=1.0, frame=self.tool, settings=w, posture=robot.reference),
             TorqueCost(weight=w.torque),
@@ -214,12 +213,10 @@ class ArmController:
         pattern = Pattern(((),), (w.intervals,))
         self.horizon = Horizon(robot, pattern, terms, scheme=w.scheme, nominal=w.span)
         self._frames = frames
-        self.plans = Plans(w.period, w.delay, live=w.live)
         self._iterate: _engine.Iterate | None = None
         self._begin = 0.0
         self._data = robot.model.createData()
-        limited, rows = robot.limited_model(), robot.actuated_rows
-        self._range = JointRange(limited, rows, robot.velocity_limit, HORIZON)
+        self._limits = RobotLimits.of(robot, HORIZON)
 
     def _margins(self) -> np.ndarray:
         """Least distance (n,) of each pair, m; of two links at most that in the reference posture."""
@@ -239,21 +236,15 @@ class ArmController:
                 state = predicted(motion, time, begin - time, state, self.settings.bandwidth)
             return self._plan(begin, *state, target, motion)
 
-        motion_now = self.plans.update(time, lambda: make)
-        begun = clocks.perf_counter()
-        wanted, w, model = motion_now.sample(time), self.settings.bandwidth, self.robot.model
-        limits = limits_at(self.robot, self._range, q, v)
-        acceleration, rows = wanted.a.copy(), self.robot.actuated_rows
-        acceleration += w**2 * pin.difference(model, q, wanted.q) + 2 * w * (wanted.v - v)
-        acceleration[rows] = np.clip(acceleration[rows], *limits.acceleration)
-        torque = self.robot.actuation.inputs(pin.rnea(model, self._data, q, v, acceleration))
-        self.report.following.append(clocks.perf_counter() - begun)
-        return np.asarray(np.clip(torque + limits.friction, *limits.torque))
+        def torque(wanted: FollowedSample) -> np.ndarray:
+            w, model, limits = self.settings.bandwidth, self.robot.model, self._limits.at(q, v)
+            acceleration, rows = wanted.a.copy(), self.robot.actuated_rows
+            acceleration += w**2 * pin.difference(model, q, wanted.q) + 2 * w * (wanted.v - v)
+            acceleration[rows] = np.clip(acceleration[rows], *limits.acceleration)
+            inputs = self.robot.actuation.inputs(pin.rnea(model, self._data, q, v, acceleration))
+            return np.asarray(np.clip(inputs + limits.friction, *limits.torque))
 
-    @property
-    def report(self) -> ControllerReport:
-        """Times and counts of all ticks so far."""
-        return self.plans.report
+        return self._tick(time, lambda: make, torque)
 
     def _plan(
         self, begin: float, q: np.ndarray, v: np.ndarray, target: ToolTarget, last: HorizonMotion | None

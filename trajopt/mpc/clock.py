@@ -19,7 +19,7 @@ SETTLE = 0.3
 # A mode is lengthened or shortened by at most this fraction of its duration.
 MOST_STRETCH = 0.35
 # Number of modes in which swings are searched: more than any horizon has, so that every swing's end is known.
-AHEAD = 24
+SWING_MODES = 24
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ class ModeClock:
         result: dict[str, list[Swing]] = {name: [] for name in self.contacts}
         begun = {name: -self._lifted[name] for name in self.contacts if name not in self._queue[0].contacts}
         time = 0.0
-        for mode in islice(self.modes(), AHEAD):
+        for mode in islice(self.modes(), SWING_MODES):
             for name in self.contacts:
                 if name in mode.contacts and name in begun:
                     result[name].append(Swing(begun.pop(name), time))

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Self
 
 import numpy as np
 import pinocchio as pin
+from typing_extensions import override
 
 from trajopt.errors import InputError
 from trajopt.mpc.clock import GaitClock
@@ -53,8 +55,14 @@ class Controller(LegsController[GaitClock]):
         super().__init__(robot, GaitClock(self._resting.names, periods), chosen)
         self._heading: float | None = None
         self._asked = Command()
-        self._lacking = np.zeros(2)
+        self._velocity_integral = np.zeros(2)
         self.ground = GroundEstimate(len(self._feet), robot.length)
+
+    @override
+    def fresh(self) -> Self:
+        twin = super().fresh()
+        twin.ground = self.ground.copy()
+        return twin
 
     def step(
         self, time: float, q: np.ndarray, v: np.ndarray, contacts: np.ndarray, command: Command
@@ -83,19 +91,19 @@ class Controller(LegsController[GaitClock]):
         x, y, z, w = q[3:7]
         turn = pin.Quaternion(w, x, y, z).toRotationMatrix()
         yaw = math.atan2(turn[1, 0], turn[0, 0])
-        self._asked = self._nearer(self._asked, command, passed)
+        self._asked = self._rate_limited(self._asked, command, passed)
         self._integrate(passed, turn[:2] @ v[:3], yaw)
         heading = yaw if self._heading is None else self._heading
         away = math.remainder(heading + self._asked.turn_rate * passed - yaw, 2 * math.pi)
         self._heading = yaw + min(max(away, -FARTHEST), FARTHEST)
-        return self._follow(passed, q, v, self._refer)
+        return self._follow(passed, q, v, self._reference_maker)
 
-    def _refer(self) -> Callable[[GaitClock, np.ndarray], Reference]:
+    def _reference_maker(self) -> Callable[[GaitClock, np.ndarray], Reference]:
         """A function that makes a plan's reference from the present command and estimate of the ground."""
         command, heading, ground = self._corrected, self._heading or 0.0, self.ground.copy()
         lifts = self.robot.length * self.settings.lift, self.robot.length * self.settings.sole_lift
 
-        def refer(clock: GaitClock, base: np.ndarray) -> Reference:
+        def reference_at(clock: GaitClock, base: np.ndarray) -> Reference:
             return GaitReference(
                 feet=self._resting,
                 base=base,
@@ -107,26 +115,26 @@ class Controller(LegsController[GaitClock]):
                 lifts=lifts,
             )
 
-        return refer
+        return reference_at
 
     def _integrate(self, passed: float, level: np.ndarray, yaw: float) -> None:
         """Integrate the error of the level velocity (2,), world, which model errors leave in a gait."""
         turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
-        lacks = np.array([self._asked.speed, self._asked.lateral]) - turn @ level
+        error = np.array([self._asked.speed, self._asked.lateral]) - turn @ level
         unit = self.robot.length / self.unit
         if self.clock.gait == STAND:
-            self._lacking[:] = 0.0
-        elif np.linalg.norm(lacks) < SMALL * unit:
-            moved = self._lacking + passed * STEADY / self.unit * lacks
-            self._lacking = np.clip(moved, -MOST * unit, MOST * unit)
+            self._velocity_integral[:] = 0.0
+        elif np.linalg.norm(error) < SMALL * unit:
+            moved = self._velocity_integral + passed * STEADY / self.unit * error
+            self._velocity_integral = np.clip(moved, -MOST * unit, MOST * unit)
 
     @property
     def _corrected(self) -> Command:
         """The rate-limited command plus the integral of the velocity error."""
-        speed, lateral = self._asked.speed + self._lacking[0], self._asked.lateral + self._lacking[1]
-        return replace(self._asked, speed=float(speed), lateral=float(lateral))
+        asked, (speed, lateral) = self._asked, self._velocity_integral.tolist()
+        return replace(asked, speed=asked.speed + speed, lateral=asked.lateral + lateral)
 
-    def _nearer(self, now: Command, command: Command, passed: float) -> Command:
+    def _rate_limited(self, now: Command, command: Command, passed: float) -> Command:
         """The present command ``passed`` s later: it approaches ``command`` at bounded rates."""
         length = self.robot.length
         rates = {

@@ -172,7 +172,7 @@ def plan_figures(
 
 @dataclass(frozen=True, kw_only=True)
 class DriveReport(PlanFigures):
-    """Figures of a drive; `trajopt.simulation.figures.fall_of` judges falls at the commanded height.
+    """Figures of a drive; `trajopt.simulation.figures.FallTest` judges falls at the commanded height.
 
     Args:
         duration: requested duration, s.

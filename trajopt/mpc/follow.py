@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import pinocchio as pin
 
 from trajopt.arguments import NonNegative, Positive, checked
-from trajopt.control.inverse_dynamics import RELAXED, TickResult
-from trajopt.control.limits import JointRange
+from trajopt.control.inverse_dynamics import RELAXED, TaskSpaceInverseDynamics, TickResult
+from trajopt.control.limits import RobotLimits
 from trajopt.control.quadratic_programs import QpSolverName
-from trajopt.control.task_space import limits_at, program_of, standing_contact
+from trajopt.control.robot_state import RobotState
+from trajopt.control.task_space import standing_contact
 from trajopt.control.tasks import ContactForceTask, FrameTask, PostureTask, RegularisationTask, Task
 from trajopt.mpc.motion import FollowedSample
 from trajopt.mpc.payload import carrying
@@ -20,7 +20,6 @@ from trajopt.robot.natural_units import NaturalUnits
 from trajopt.robot.robot import Robot
 
 SMALL = 1e-8
-UP = np.array([0.0, 0.0, 1.0])
 # A contact that should stand but does not touch moves down at this fraction of sqrt(g l), with this weight.
 PRESSED, PRESSING = 0.15, 10.0
 # Time over which joints brake before their limits, s.
@@ -63,11 +62,10 @@ class Follower:
         solver: QpSolverName = "piqp",
     ) -> None:
         self.robot, self.gains, self.friction = robot, gains or FollowerGains(), friction
-        self.units, self._program = NaturalUnits.of(robot.model), program_of(robot, solver)
-        self.state, self.acceleration_unit = self._program.state, self._program.acceleration_unit
-        self._range = JointRange(robot.limited_model(), robot.actuated_rows, robot.velocity_limit, HORIZON)
-        self._high = np.full(robot.nu, np.inf) if robot.torque_limit is None else robot.torque_limit
-        self._low = robot.least_torque(self._high)
+        self.units, self.state = NaturalUnits.of(robot.model), RobotState(robot.model, robot.joint_forces)
+        self._program = TaskSpaceInverseDynamics.of(self.state, robot.actuation, self.units, solver=solver)
+        self.acceleration_unit = self._program.acceleration_unit
+        self._limits = RobotLimits.of(robot, HORIZON)
         self._small = RegularisationTask(weight=SMALL, unit=self.acceleration_unit)
         self._legs = [self._rows_of(contact.frame) for contact in robot.contacts]
         self.relaxed = [0] * len(RELAXED)
@@ -98,17 +96,13 @@ class Follower:
         self.state.update(q, v)
         robot, standing = self.robot, np.flatnonzero(active)
         contacts = [standing_contact(robot, robot.contacts[i], self.friction) for i in standing]
-        limits = limits_at(robot, self._range, q, v)
-        result = self._program.solve(contacts, self._tasks(wanted, active), limits)
+        result = self._program.solve(contacts, self._tasks(wanted, active), self._limits.at(q, v))
         self.relaxed[result.relaxed] += 1
         self.last = result
         if RELAXED[result.relaxed] != "everything":
             return result.torque
-        rows, w = self.robot.actuated_rows, self.gains.joint / self.units.time
-        error = pin.difference(self.state.model, q, wanted.q)[rows]
-        inertia = np.diagonal(self.state.mass)[rows]
-        held = wanted.torque[: len(rows)] + inertia * (w**2 * error + 2 * w * (wanted.v - v)[rows])
-        return np.asarray(np.clip(held, self._low, self._high))
+        held = self._program.held(self.gains.joint / self.units.time, wanted.q, wanted.v, wanted.torque)
+        return np.asarray(np.clip(held, *self._limits.torque))
 
     def _tasks(self, wanted: FollowedSample, active: np.ndarray) -> Sequence[Task]:
         gains, model, time = self.gains, self.state.model, self.units.time

@@ -11,7 +11,7 @@ from trajopt.terrain.patch import Patch
 from trajopt.terrain.piecewise import REACH, PiecewiseTerrain
 
 # Length of the level ground in front of the robot's origin, m.
-AHEAD = 0.5
+DISTANCE = 0.5
 # Steepest slope, degrees: far steeper than a coefficient of friction of 0.7 allows.
 STEEPEST = 60.0
 # Numbers of boxes along and across; their side over the robot's length, its minimum in m; gaps over the side.
@@ -20,7 +20,7 @@ ALONG, ACROSS, SIDE, LEAST_SIDE, GAP = 10, 6, 0.8, 0.25, 0.2
 
 @checked
 def slope_ahead(degrees: float) -> PiecewiseTerrain:
-    """Level ground, followed from `AHEAD` m on by a slope about the lateral axis.
+    """Level ground, followed from `DISTANCE` m on by a slope about the lateral axis.
 
     Args:
         degrees: inclination of the slope, degrees, negative downwards.
@@ -31,12 +31,12 @@ def slope_ahead(degrees: float) -> PiecewiseTerrain:
     if not abs(degrees) <= STEEPEST:
         raise InputError(f"slope is {degrees:g} degrees", f"allowed: {-STEEPEST:g} to {STEEPEST:g}")
     rise = REACH * math.tan(math.radians(degrees))
-    return PiecewiseTerrain.slope(rise, REACH, at=(AHEAD, 0.0))
+    return PiecewiseTerrain.slope(rise, REACH, at=(DISTANCE, 0.0))
 
 
 @checked
 def boxes_ahead(robot: Robot, part: Fraction, seed: Count = 0) -> PiecewiseTerrain:
-    """Level ground with rows of boxes from `AHEAD` m on, over at least 3 m.
+    """Level ground with rows of boxes from `DISTANCE` m on, over at least 3 m.
 
     Args:
         robot: the robot that walks over the boxes.
@@ -49,7 +49,7 @@ def boxes_ahead(robot: Robot, part: Fraction, seed: Count = 0) -> PiecewiseTerra
     ground = Patch.rectangle((0.0, 0.0, 0.0), (2 * REACH, 2 * REACH), name="ground")
     boxes = [
         Patch.rectangle(
-            (AHEAD + (i + 0.5) * pitch, (j + 0.5 - ACROSS / 2) * pitch, height),
+            (DISTANCE + (i + 0.5) * pitch, (j + 0.5 - ACROSS / 2) * pitch, height),
             (side, side),
             name=f"box{i}.{j}",
         )

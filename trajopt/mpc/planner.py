@@ -31,7 +31,7 @@ SHORTEST = 0.01
 # Default weight of changes of durations, for robots with point feet.
 TIMING = 1.0
 # Feet land this far below the ground in plans, over the robot's length, and so arrive with some velocity.
-SUNK = 0.01
+LANDING_DEPTH = 0.01
 # In this fraction of a period before a touchdown its rows soften: errors can no longer be corrected.
 SOFT = 0.1
 
@@ -224,10 +224,10 @@ class HorizonPlanner:
         self, horizon: Horizon, reference: Reference, durations: np.ndarray
     ) -> list[dict[str, float]]:
         """Heights at which frames of contacts land, m, by name for each landing: just below the ground."""
-        begins, sunk = np.cumsum(durations), SUNK * self.robot.length
+        begins, depth = np.cumsum(durations), LANDING_DEPTH * self.robot.length
         return [
             {
-                name: reference.landing_height(name, float(begins[phase - 1])) - sunk
+                name: reference.landing_height(name, float(begins[phase - 1])) - depth
                 for name in horizon.new_contacts(phase)
             }
             for phase, _ in horizon.landings

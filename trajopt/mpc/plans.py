@@ -145,6 +145,10 @@ class Plans:
         self._begin, self._next, self._late = 0.0, -math.inf, False
         self._thread = ThreadPoolExecutor(1, "plans") if live else None
 
+    def fresh(self) -> Plans:
+        """Plans with the same times, none of which is made yet."""
+        return Plans(self.period, self.delay, live=self._thread is not None)
+
     def update(self, time: float, maker: Callable[[], Make]) -> HorizonMotion:
         """The plan for the tick at ``time`` s; ``maker`` is called when a new plan is due."""
         pending = self._pending

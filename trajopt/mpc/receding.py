@@ -1,20 +1,22 @@
-"""The common part of controllers of legged robots: plan from the measured state, and follow the plan."""
+"""Receding-horizon control: plans from the measured state, and torques that follow them."""
 
 from __future__ import annotations
 
+import copy
 import math
 import time as clocks
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Generic, TypeVar
+from typing import Generic, Self, TypeVar
 
 import numpy as np
+from typing_extensions import override
 
 from trajopt.arguments import NonNegative, Positive, checked
 from trajopt.errors import InputError, require_positive
 from trajopt.mpc.clock import ModeClock
 from trajopt.mpc.follow import Follower, FollowerGains
-from trajopt.mpc.motion import HorizonMotion, predicted, require_state
+from trajopt.mpc.motion import FollowedSample, HorizonMotion, predicted, require_state
 from trajopt.mpc.payload import payload_numbers
 from trajopt.mpc.planner import HorizonPlanner, PlannerSettings
 from trajopt.mpc.plans import ControllerReport, Make, Plans
@@ -58,7 +60,40 @@ class ControllerSettings:
     sole_lift: Positive = 0.1
 
 
-class LegsController(Generic[AnyClock]):
+class RecedingHorizon:
+    """Control of a robot by plans that are made anew while it moves.
+
+    Args:
+        robot: the robot.
+        plans: the plan in use and the next one.
+    """
+
+    def __init__(self, robot: Robot, plans: Plans) -> None:
+        self.robot, self.plans = robot, plans
+
+    def fresh(self) -> Self:
+        """A controller as new, with the same horizons; this one must not have run."""
+        twin = copy.copy(self)
+        twin.plans = self.plans.fresh()
+        return twin
+
+    @property
+    def report(self) -> ControllerReport:
+        """Times and counts of all ticks so far."""
+        return self.plans.report
+
+    def _tick(
+        self, time: float, maker: Callable[[], Make], torque: Callable[[FollowedSample], np.ndarray]
+    ) -> np.ndarray:
+        """Torques (nu,) at ``time`` s: ``torque`` of a sample of the plan, which ``maker`` makes when due."""
+        motion = self.plans.update(time, maker)
+        begun = clocks.perf_counter()
+        followed = torque(motion.sample(time))
+        self.report.following.append(clocks.perf_counter() - begun)
+        return followed
+
+
+class LegsController(RecedingHorizon, Generic[AnyClock]):
     """Whole-body receding-horizon control of a legged robot with a clock of contact modes.
 
     Args:
@@ -68,16 +103,24 @@ class LegsController(Generic[AnyClock]):
     """
 
     def __init__(self, robot: Robot, clock: AnyClock, settings: ControllerSettings) -> None:
-        self.robot, self.clock, self.settings = robot, clock, settings
+        super().__init__(robot, Plans(settings.period, settings.delay, live=settings.live))
+        self.clock, self.settings = clock, settings
         self.unit = Units(robot).time
         self.planner = HorizonPlanner(robot, clock, settings.planner, friction=settings.friction)
         self.planner.prepare()
         self.follower = Follower(robot, settings.gains, friction=settings.friction)
-        self.plans = Plans(settings.period, settings.delay, live=settings.live)
         self.planner.report = self.plans.report
         self._now = 0.0
         self._touched = np.full(len(robot.contacts), -math.inf)
         self._feet = [robot.contacts.index(robot.contact(name)) for name in clock.contacts]
+
+    @override
+    def fresh(self) -> Self:
+        twin = super().fresh()
+        twin.clock, twin.planner = self.clock.copy(), copy.copy(self.planner)
+        twin.planner.report = twin.plans.report
+        twin.follower = Follower(self.robot, self.settings.gains, friction=self.settings.friction)
+        return twin
 
     def carry(self, mass: float, place: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0)) -> None:
         """Set the payload: a mass in kg on the base, at a place (3,) in its axes, m.
@@ -93,11 +136,6 @@ class LegsController(Generic[AnyClock]):
         """Set Coulomb's coefficient of the ground, > 0, for later plans and ticks. Raises `InputError`."""
         require_positive("friction", friction)
         self.planner.friction = self.follower.friction = friction
-
-    @property
-    def report(self) -> ControllerReport:
-        """Times and counts of all ticks so far."""
-        return self.plans.report
 
     def _passed(
         self, time: float, q: np.ndarray, v: np.ndarray, contacts: np.ndarray | Sequence[bool]
@@ -121,25 +159,23 @@ class LegsController(Generic[AnyClock]):
         passed: float,
         q: np.ndarray,
         v: np.ndarray,
-        refer: Callable[[], Callable[[AnyClock, np.ndarray], Reference]],
+        reference_maker: Callable[[], Callable[[AnyClock, np.ndarray], Reference]],
     ) -> np.ndarray:
         """Torques (nu,) of the present tick, ``passed`` s after the last one.
 
-        When a new plan is due, ``refer`` returns a function that makes its reference from the clock and the
-        configuration (nq,) at its start.
+        When a new plan is due, ``reference_maker`` returns a function that makes its reference from the clock
+        and the configuration (nq,) at its start.
         """
-        time = self._now
-        motion = self.plans.update(time, lambda: self._maker(q, v, refer()))
-        self.clock.stretch(self.planner.stretch, passed / (ADAPTED * self.unit))
-        begun = clocks.perf_counter()
-        wanted = motion.sample(time)
-        lately = time - self._touched <= CHATTER * self.unit
-        torque = self.follower.torque(wanted, q, v, wanted.active & lately)
-        self.report.following.append(clocks.perf_counter() - begun)
-        return torque
+
+        def torque(wanted: FollowedSample) -> np.ndarray:
+            self.clock.stretch(self.planner.stretch, passed / (ADAPTED * self.unit))
+            lately = self._now - self._touched <= CHATTER * self.unit
+            return self.follower.torque(wanted, q, v, wanted.active & lately)
+
+        return self._tick(self._now, lambda: self._maker(q, v, reference_maker()), torque)
 
     def _maker(
-        self, q: np.ndarray, v: np.ndarray, refer: Callable[[AnyClock, np.ndarray], Reference]
+        self, q: np.ndarray, v: np.ndarray, reference_at: Callable[[AnyClock, np.ndarray], Reference]
     ) -> Make:
         """A function that makes a plan from the present state; it uses a copy of the clock, for threads."""
         time, clock, motion = self._now, self.clock.copy(), self.plans.motion
@@ -148,7 +184,7 @@ class LegsController(Generic[AnyClock]):
             clock.advance(begin - time, dict.fromkeys(clock.contacts, False))
             self.planner.clock = clock
             state = self._predicted(motion, time, q, v, begin - time)
-            return self.planner.plan(begin, *state, refer(clock, state[0]), motion)
+            return self.planner.plan(begin, *state, reference_at(clock, state[0]), motion)
 
         return make
 

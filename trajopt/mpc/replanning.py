@@ -31,7 +31,7 @@ from trajopt.solution.solution import Solution
 # Rate at which the plan is sampled, Hz.
 RATE = 1000.0
 # Cycles of a periodic plan after the last one, for horizons to look ahead.
-BEYOND = 2
+LOOKAHEAD_CYCLES = 2
 # Period of the horizons of finite motions, over sqrt(l / g).
 PERIOD = 2.6
 # Ground is level if the vertical part of its normal is above 1 minus this.
@@ -90,7 +90,7 @@ class ReplanningController(LegsController[PlanClock]):
     ) -> None:
         _require_fitting(robot, plan)
         repeats = plan.description.periodicity is not None
-        trajectory = reference_of(plan, RATE, cycles + BEYOND if repeats else cycles)
+        trajectory = reference_of(plan, RATE, cycles + LOOKAHEAD_CYCLES if repeats else cycles)
         names = {contact.frame: contact.name for contact in robot.contacts}
         self.plan, contacts = plan, [names[frame] for frame in plan.contact_frames]
         modes = _modes(trajectory, contacts)
@@ -110,9 +110,9 @@ class ReplanningController(LegsController[PlanClock]):
                 f"contacts have shape {np.shape(touching)}", f"allowed: ({count},), those of the plan"
             )
         passed = self._passed(t, q, v, np.append(touching, False)[self._order])
-        return self._follow(passed, q, v, lambda: self._refer)
+        return self._follow(passed, q, v, lambda: self._reference_at)
 
-    def _refer(self, clock: PlanClock, base: np.ndarray) -> Reference:
+    def _reference_at(self, clock: PlanClock, base: np.ndarray) -> Reference:
         return PlanReference(robot=self.robot, rows_of_plan=self._rows, period=self._period, time=clock.time)
 
 

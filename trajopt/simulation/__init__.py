@@ -1,4 +1,4 @@
-"""Plans simulated in MuJoCo: the same robot, compliant contacts, and a controller that tracks the plan."""
+"""A scene, a controller and events give a record in MuJoCo, with compliant contacts; plans are one use."""
 
 import lazy_loader
 

@@ -1,13 +1,10 @@
-"""Controllers for simulations: the tracker of a plan, or any object with a `torque` method."""
+"""The interface of controllers: any object with a `torque` method."""
 
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from trajopt.control.reference import ReferenceTrajectory
-from trajopt.control.tracker import Tracker
 from trajopt.errors import InputError, numbers_of
-from trajopt.solution.solution import Solution
 
 
 @runtime_checkable
@@ -15,28 +12,8 @@ class TorqueController(Protocol):
     """Interface of the controllers that a simulation asks for torques; `Tracker` is one."""
 
     def torque(self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray) -> np.ndarray:
-        """Drive torques (nu,), N m or N, at time ``t``, s; arguments as in `Tracker.torque`."""
+        """Torques (nu,) of the drives, N m or N; arguments as in `Tracker.torque`."""
         ...
-
-
-def controller_of(plan: Solution, reference: ReferenceTrajectory, settings: Any) -> TorqueController | None:
-    """The controller that the settings choose; None for joint feedback. Raises `InputError`."""
-    given = settings.controller
-    if given == "joints":
-        return None
-    if given == "whole-body":
-        gains = {} if settings.gains is None else {"gains": settings.gains}
-        rate, cycles, solver = settings.control_rate, settings.cycles, settings.qp_solver
-        return Tracker(plan, rate=rate, cycles=cycles, solver=solver, **gains)
-    if isinstance(given, Tracker):
-        ticks = len(given.reference.t), given.reference.period
-        if ticks != (len(reference.t), reference.period) or given.plan.model != plan.model:
-            raise InputError(
-                "the Tracker of a simulation is of another plan, or has other ticks",
-                f"allowed: one of this plan, rate={settings.control_rate:g}, cycles={settings.cycles}",
-            )
-    found: TorqueController = given
-    return found
 
 
 def name_of(controller: object) -> str:
@@ -44,19 +21,19 @@ def name_of(controller: object) -> str:
     return f"'{controller}'" if isinstance(controller, str) else type(controller).__name__
 
 
-def torque_of(
-    controller: TorqueController,
-    t: float,
-    state: tuple[np.ndarray, np.ndarray],
-    touching: np.ndarray,
-    size: int,
-) -> np.ndarray:
-    """Torques (nu,) of a controller, called with copies. Raises `InputError` if they are invalid."""
-    q, v = (part.copy() for part in state)
-    torque = numbers_of(controller.torque(t, q, v, np.array(touching, dtype=bool)))
-    if torque.shape != (size,) or not np.isfinite(torque).all():
-        what = "are not finite" if torque.shape == (size,) else f"have shape {torque.shape}"
-        raise InputError(
-            f"torques of {name_of(controller)} at {t:g} s {what}", f"allowed: ({size},), finite, N m or N"
-        )
-    return torque
+class GivenController:
+    """A user's controller, whose torques (nu,) are checked, and which cannot change the simulated state."""
+
+    def __init__(self, controller: TorqueController, nu: int) -> None:
+        self._controller, self._nu = controller, nu
+
+    def torque(self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray) -> np.ndarray:
+        """Torques (nu,) of the controller. Raises `InputError` if they are invalid."""
+        torque = numbers_of(self._controller.torque(t, q, v, np.array(touching, dtype=bool)))
+        if torque.shape != (self._nu,) or not np.isfinite(torque).all():
+            what = "are not finite" if torque.shape == (self._nu,) else f"have shape {torque.shape}"
+            raise InputError(
+                f"torques of {name_of(self._controller)} at {t:g} s {what}",
+                f"allowed: ({self._nu},), finite, N m or N",
+            )
+        return torque

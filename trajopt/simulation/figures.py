@@ -1,18 +1,20 @@
 """Figures of a simulation: tracking, contacts and falls, from its record and the plan."""
 
-from dataclasses import dataclass, replace
+from __future__ import annotations
+
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
 
-from trajopt.control.reference import ReferenceTrajectory
+from trajopt.control.reference import ReferenceTrajectory, Timeline
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.motion.quantities import MotionQuantities
 from trajopt.motion.samples import contact_places, state_distance
 from trajopt.motion.touched import TouchedSurfaces
 from trajopt.simulation.record import SimulationRecord
-from trajopt.simulation.world import World, touching_places
+from trajopt.simulation.scene import Scene, touching_places
 from trajopt.solution.arrays import rows_of
 from trajopt.solution.solution import Solution
 
@@ -25,7 +27,8 @@ SLIP = 0.01
 PULSES = 0.1
 # A base has fallen if it drops below the plan by this fraction of its mean height over the feet, or turns
 # from the planned attitude by more than this, rad.
-SUNK, TURNED = 0.5, np.pi / 3
+LARGEST_DROP = 0.5
+LARGEST_TILT = np.pi / 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,19 +66,19 @@ class TrackingErrors:
     joints: np.ndarray
 
 
-def tracking_errors(plan: Solution, reference: ReferenceTrajectory, q: np.ndarray) -> TrackingErrors:
+def tracking_errors(scene: Scene, reference: ReferenceTrajectory, q: np.ndarray) -> TrackingErrors:
     """Errors of simulated q (n + 1, nq) at the starts of all periods and at the end of the last one."""
     wanted = np.vstack([reference.q, reference.end])[: len(q)]
-    model, rows = plan.model, plan.actuated_rows
+    model, rows = scene.robot.model, scene.robot.actuated_rows
     distance = np.array([state_distance(model, a, b) for a, b in zip(wanted, q, strict=True)])
     joints = np.array([pin.difference(model, a, b)[rows] for a, b in zip(wanted, q, strict=True)])
     return TrackingErrors(base=distance[:, 0], turn=distance[:, 1], joint=distance[:, 2], joints=joints)
 
 
-def loaded_contacts(record: SimulationRecord, world: World) -> np.ndarray:
+def loaded_contacts(record: SimulationRecord, scene: Scene) -> np.ndarray:
     """Whether each contact carries load (n, nc)."""
     force = np.linalg.norm(record.force[:, :, :3], axis=2)
-    return np.asarray(force > LOADED * world.units.weight)
+    return np.asarray(force > LOADED * scene.units.weight)
 
 
 def phase_surfaces(plan: Solution) -> TouchedSurfaces:
@@ -84,12 +87,12 @@ def phase_surfaces(plan: Solution) -> TouchedSurfaces:
 
 
 def simulated_stances(
-    plan: Solution, reference: ReferenceTrajectory, record: SimulationRecord, world: World
+    plan: Solution, reference: ReferenceTrajectory, record: SimulationRecord, scene: Scene
 ) -> tuple[SimulatedStance, ...]:
     """All planned stances, contact by contact."""
     n = min(len(record.feet), reference.planned)
-    loaded, surfaces, stances = loaded_contacts(record, world)[:n], phase_surfaces(plan), []
-    gap = round(PULSES * world.units.time / reference.period)
+    loaded, surfaces, stances = loaded_contacts(record, scene)[:n], phase_surfaces(plan), []
+    gap = round(PULSES * scene.units.time / reference.period)
     for contact in range(loaded.shape[1]):
         runs = _runs(reference.active[:n, contact])
         for number, (first, end) in enumerate(runs):
@@ -110,7 +113,7 @@ def simulated_stances(
                     travel=None
                     if free
                     else farthest_travel(
-                        _slipped(plan, world, contact, record, slice(first, end), normal),
+                        _slipped(scene, contact, record, slice(first, end), normal),
                         _without_gaps(loaded[first:end, contact], gap),
                         normal,
                     ),
@@ -135,13 +138,13 @@ def _without_gaps(loaded: np.ndarray, gap: int) -> np.ndarray:
 
 
 def _slipped(
-    plan: Solution, world: World, contact: int, record: SimulationRecord, rows: slice, normal: np.ndarray
+    scene: Scene, contact: int, record: SimulationRecord, rows: slice, normal: np.ndarray
 ) -> np.ndarray:
     """Positions (n, c, 3), m, of a contact's points; for a rolling ball its centre, less the way rolled."""
     feet, turns = record.feet[rows, contact, None], record.turns[rows, contact]
-    places = feet + touching_places(plan, contact) @ turns.mT
-    radius = float(world.place.radii[contact])
-    if not world.place.rolling[contact] or len(turns) < 2:
+    places = feet + touching_places(scene.robot.description.contacts[contact]) @ turns.mT
+    radius = float(scene.place.radii[contact])
+    if not scene.place.rolling[contact] or len(turns) < 2:
         return np.asarray(places)
     steps = np.array([pin.log3(after @ before.T) for before, after in pairwise(turns)])
     rolled = np.cumsum(np.vstack([np.zeros(3), np.cross(steps, radius * normal)]), axis=0)
@@ -158,13 +161,13 @@ def farthest_travel(places: np.ndarray, loaded: np.ndarray, normal: np.ndarray) 
     return farthest
 
 
-def swing_load(reference: ReferenceTrajectory, record: SimulationRecord, world: World) -> float:
+def swing_load(reference: ReferenceTrajectory, record: SimulationRecord, scene: Scene) -> float:
     """Longest time (s) for which a contact carries load in the middle half of a planned swing.
 
     Around lift-off and touchdown, a loaded contact is merely late or early.
     """
     n = min(len(record.feet), reference.planned)
-    loaded, longest = loaded_contacts(record, world)[:n], 0
+    loaded, longest = loaded_contacts(record, scene)[:n], 0
     for contact in range(loaded.shape[1]):
         for first, end in _runs(~reference.active[:n, contact]):
             quarter = (end - first) // 4
@@ -179,45 +182,59 @@ def force_error(reference: ReferenceTrajectory, record: SimulationRecord) -> flo
     return float(np.sqrt((difference**2).sum(axis=(1, 2)).mean())) if difference.size else None
 
 
-def fall_of(
-    plan: Solution, reference: ReferenceTrajectory, record: SimulationRecord, q: np.ndarray
-) -> Fall | None:
-    """The first fall; a robot on a fixed base falls only if its simulation diverges."""
-    falls = []
-    if len(record.feet) < len(reference.t):
-        falls.append(Fall(time=float(reference.t[len(record.feet)]), why="the simulation diverged"))
-    if base_of(plan.model) != "fixed":
-        n = len(record.feet)
-        actual, wanted = base_poses(plan.model, q[:n]), base_poses(plan.model, reference.q[:n])
-        up = -np.array(plan.model.gravity.linear)
-        up = up / (np.linalg.norm(up) or 1.0)
-        over = _height_over_feet(plan, up)
-        sunk = (wanted[:, :, 3] - actual[:, :, 3]) @ up > SUNK * over
-        cosine = np.einsum("nij,nij->n", wanted[:, :, :3], actual[:, :, :3])
-        turned = np.arccos(np.clip((cosine - 1) / 2, -1, 1)) > TURNED
-        for flags, why in (
-            (record.touched, "a link touches the ground"),
-            (sunk & (over > 0), "the base has dropped"),
-            (turned, "the base has turned over"),
-        ):
-            if flags.any():
-                falls.append(Fall(time=float(reference.t[int(flags.argmax())]), why=why))
-    return min(falls, key=lambda fall: fall.time, default=None)
+@dataclass(frozen=True, kw_only=True)
+class FallTest:
+    """Whether a robot falls; on a fixed base it falls only if its simulation diverges.
+
+    Args:
+        scene: the simulated scene.
+        height: mean height of the base over the feet, m; zero without feet.
+    """
+
+    scene: Scene
+    height: float
+
+    @classmethod
+    def of_plan(cls, scene: Scene, plan: Solution) -> FallTest:
+        """The test with the height of a plan's base over its active contacts."""
+        height = 0.0
+        if base_of(plan.model) != "fixed" and plan.active.any():
+            position = contact_places(plan).position
+            height = mean_height(plan.model, plan.q, position, plan.active)
+        return cls(scene=scene, height=height)
+
+    def first(
+        self, record: SimulationRecord, timeline: Timeline, rows: slice, wanted: np.ndarray
+    ) -> Fall | None:
+        """The first fall in some rows of a record, where the robot should be at ``wanted`` (n, nq)."""
+        t, robot, falls = timeline.t[rows], self.scene.robot, []
+        touched = record.touched[rows]
+        if len(touched) < len(t):
+            falls.append(Fall(time=float(t[len(touched)]), why="the simulation diverged"))
+        if robot.base != "fixed" and len(touched):
+            q = self.scene.coordinates.from_mujoco(record.qpos[rows])[: len(touched)]
+            actual, planned = base_poses(robot.model, q), base_poses(robot.model, wanted[: len(q)])
+            dropped = (planned[:, :, 3] - actual[:, :, 3]) @ upwards(robot.model) > LARGEST_DROP * self.height
+            cosine = np.einsum("nij,nij->n", planned[:, :, :3], actual[:, :, :3])
+            turned = np.arccos(np.clip((cosine - 1) / 2, -1, 1)) > LARGEST_TILT
+            for flags, why in (
+                (touched, "a link touches the ground"),
+                (dropped & (self.height > 0), "the base has dropped"),
+                (turned, "the base has turned over"),
+            ):
+                if flags.any():
+                    falls.append(Fall(time=float(t[int(flags.argmax())]), why=why))
+        return min(falls, key=lambda fall: fall.time, default=None)
 
 
-def fall_between(
-    plan: Solution, reference: ReferenceTrajectory, record: SimulationRecord, world: World, rows: slice
-) -> Fall | None:
-    """The first fall within some periods of a record that may be incomplete."""
-    part = replace(record, feet=record.feet[rows], touched=record.touched[rows])
-    wanted = replace(reference, t=reference.t[rows], q=reference.q[rows])
-    if not len(part.feet):
-        return None
-    return fall_of(plan, wanted, part, world.coordinates.from_mujoco(record.qpos[rows]))
+def upwards(model: pin.Model) -> np.ndarray:
+    """Direction (3,) against gravity; zero without gravity."""
+    up = -np.array(model.gravity.linear)
+    return np.asarray(up / (np.linalg.norm(up) or 1.0))
 
 
 def base_poses(model: pin.Model, q: np.ndarray) -> np.ndarray:
-    """Rotation and position (n, 3, 4) of the base link in the world."""
+    """Rotation and position (n, 3, 4) of the base link in the scene."""
     data, joint = model.createData(), BASE_JOINT[base_of(model)]
     bases = np.zeros((len(q), 3, 4))
     for row, configuration in enumerate(q):
@@ -226,9 +243,7 @@ def base_poses(model: pin.Model, q: np.ndarray) -> np.ndarray:
     return bases
 
 
-def _height_over_feet(plan: Solution, up: np.ndarray) -> float:
-    """Mean height of the base over the active contacts, m; zero if there are none."""
-    position = contact_places(plan).position
-    base = base_poses(plan.model, plan.q)[:, :, 3]
-    over = (base[:, None, :] - position) @ up
-    return max(float(over[plan.active].mean()), 0.0) if plan.active.any() else 0.0
+def mean_height(model: pin.Model, q: np.ndarray, feet: np.ndarray, active: np.ndarray) -> float:
+    """Mean height, m, of the base at q (K, nq) over the active of the contacts at ``feet`` (K, nc, 3)."""
+    over = (base_poses(model, q)[:, None, :, 3] - feet) @ upwards(model)
+    return max(float(over[active].mean()), 0.0)

@@ -12,20 +12,22 @@ from typing import Any
 import numpy as np
 
 from trajopt.collision.shapes import BoxObstacle, LinkShape, Obstacle
-from trajopt.motion.cycles import image_of_contacts
 from trajopt.robot.mujoco_package import mujoco_package
 from trajopt.simulation.bodies import Bodies, add_geom, body_name, mujoco_quaternion
 from trajopt.simulation.settings import SimulationSettings
-from trajopt.solution.solution import Solution
+from trajopt.simulation.site import BALL, Board, Site
 from trajopt.terrain.bodies import extruded
 from trajopt.terrain.patch import Patch
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.smooth import SmoothTerrain
 from trajopt.terrain.surface import Surface, frame_of_normal
 
-# In reaches: radius of the balls; margin of the ground around the motion; its thickness; margin of a board
-# around the contacts on it; cell size of smooth ground.
-BALL, AROUND, DEPTH, BOARD, CELL = 1e-3, 2.0, 1.0, 0.1, 1e-2
+# Thickness of the ground, in reaches.
+DEPTH = 1.0
+# Margin of a board around the contacts on it, in reaches.
+BOARD = 0.1
+# Size of the cells of smooth ground, in reaches, and largest number of cells along a side.
+CELL = 1e-2
 MOST_CELLS = 500
 
 
@@ -47,16 +49,17 @@ class GroundGeometry:
 
 @dataclass(frozen=True, kw_only=True)
 class Surroundings:
-    """Surroundings of a plan.
+    """Sizes of the contacts' balls, and of the ground.
 
     Args:
-        feet: (K, nc, 3) positions of the contact frames at the samples, m.
-        radii, rolling: (nc,) of the plan's contacts, m, and whether each rolls.
-        offsets: (nc,) by which the ground of each contact is higher than planned, m.
-        low, high, reach: corners (3,) of a box around the plan, and the robot's reach, m.
+        radii: radii of the planned contacts (nc,), m.
+        rolling: whether each contact rolls (nc,).
+        offsets: by how much the ground of each contact is higher than planned (nc,), m.
+        low: lower corner (3,) of a box around the motion, m.
+        high: upper corner (3,) of this box, m.
+        reach: the robot's reach, m.
     """
 
-    feet: np.ndarray
     radii: np.ndarray
     rolling: np.ndarray
     offsets: np.ndarray
@@ -80,52 +83,39 @@ class Surroundings:
         return self.radii - self.sizes + self.offsets
 
 
-def surroundings_of(
-    plan: Solution,
-    feet: np.ndarray,
-    bodies: np.ndarray,
-    reach: float,
-    settings: SimulationSettings,
-    beyond: float = 0.0,
-) -> Surroundings:
-    """Surroundings of a plan with contacts at ``feet`` (K, nc, 3) and joints at ``bodies`` (K, n, 3), m.
-
-    beyond: m, how far the simulation may leave the plan along the ground.
-    """
-    points = np.concatenate([feet.reshape(-1, 3), bodies.reshape(-1, 3)])
-    around = AROUND * reach + np.array([beyond, beyond, 0.0])
-    radii, rolling = plan.description.radii, plan.description.rolling
+def surroundings_of(site: Site, settings: SimulationSettings) -> Surroundings:
+    """Sizes in a scene with these settings."""
+    about = site.robot.description
     return Surroundings(
-        feet=feet,
-        radii=radii,
-        rolling=rolling if settings.rolling is None else settings.rolling & (radii > 0),
-        offsets=np.array([settings.ground_offsets.get(name, 0.0) for name in plan.contact_frames]),
-        low=points.min(axis=0) - around,
-        high=points.max(axis=0) + around,
-        reach=reach,
+        radii=about.radii,
+        rolling=about.rolling if settings.rolling is None else settings.rolling & (about.radii > 0),
+        offsets=np.array([settings.ground_offsets.get(name, 0.0) for name in about.frames]),
+        low=site.low,
+        high=site.high,
+        reach=site.robot.units.length,
     )
 
 
-def add_ground(spec: Any, plan: Solution, place: Surroundings) -> GroundGeometry:
+def add_ground(spec: Any, site: Site, place: Surroundings) -> GroundGeometry:
     """Add terrain and boards to a specification; terrain for links, and for contacts at each height."""
     geoms: list[tuple[str, Surface | None, tuple[float, ...], tuple[int, ...], float | None]] = []
-    terrain = plan.description.ground
-    separate, count = _separate_surfaces(plan, terrain), len(plan.contact_frames)
-    usual = tuple(contact.friction for contact in plan.description.contacts)
+    about = site.robot.description
+    usual = tuple(contact.friction for contact in about.contacts)
+    count = len(usual)
     layers: list[tuple[str, float, tuple[int, ...], float | None]] = [("", 0.0, (), 0.0)]
-    for lift, contacts in _by_lift(_standing(plan, separate), place):
+    for lift, contacts in _by_lift(site.standing, place):
         layers.append((f".{len(layers)}", lift, contacts, None))
     for offset in np.unique(place.offsets[place.offsets != 0.0]).tolist():
         layers.append((f".{len(layers)}", offset, (), offset))
     for suffix, lift, contacts, links in layers:
-        for name, plane, mu in _terrain(spec, terrain, suffix, lift, place):
+        for name, plane, mu in _terrain(spec, about.ground, suffix, lift, place):
             geoms.append((name, plane, usual if mu is None else (mu,) * count, contacts, links))
-    for surface, touching, points in _boards(plan, separate, place):
-        for lift, contacts in _by_lift(touching, place):
-            name = _board(spec, f"board{len(geoms)}", surface, points, lift, place)
-            geoms.append((name, surface, (surface.friction,) * count, contacts, None))
+    for board in site.boards:
+        for lift, contacts in _by_lift(board.contacts, place):
+            name = _board(spec, f"board{len(geoms)}", board, lift, place)
+            geoms.append((name, board.surface, (board.surface.friction,) * count, contacts, None))
     names, planes, friction, touched_by, of_links = zip(*geoms, strict=True) if geoms else ((),) * 5
-    by_phase = _by_phase(plan, planes, np.array(friction, dtype=float).reshape(len(names), count))
+    by_phase = _by_phase(site, planes, np.array(friction, dtype=float).reshape(len(names), count))
     return GroundGeometry(names=names, friction=by_phase, touched_by=touched_by, links=of_links)
 
 
@@ -156,84 +146,22 @@ def _terrain(
         yield _field(spec, f"terrain{suffix}", terrain, lift, place), None, terrain.friction
 
 
-def _by_phase(plan: Solution, planes: Sequence[Surface | None], usual: np.ndarray) -> np.ndarray:
+def _by_phase(site: Site, planes: Sequence[Surface | None], usual: np.ndarray) -> np.ndarray:
     """Friction (phases, geoms, nc): ``usual`` (geoms, nc) unless a phase sets it for a geom's plane.
 
     A contact in the air has the friction of its next stance, since it may touch down early.
     """
-    friction, frames = np.tile(usual, (len(plan.phases), 1, 1)), list(plan.contact_frames)
-    for phase, surfaces in enumerate(plan.description.surfaces):
+    about, count = site.robot.description, len(site.models)
+    friction, frames = np.tile(usual, (count, 1, 1)), list(about.frames)
+    for phase, surfaces in enumerate(about.surfaces):
         for frame, surface in surfaces.items():
             for geom, plane in enumerate(planes):
                 if not surface.bilateral and surface.same_plane(plane):
                     friction[phase, geom, frames.index(frame)] = surface.friction
-    for phase in reversed(range(len(plan.phases) - 1)):
-        swings = ~plan.active[plan.phases[phase].start]
+    for phase in reversed(range(count - 1)):
+        swings = site.swings[phase]
         friction[phase][:, swings] = friction[phase + 1][:, swings]
     return friction
-
-
-def _separate_surfaces(plan: Solution, terrain: Any) -> list[tuple[int, int, Surface]]:
-    """(phase, contact, surface) of single contacts that touch something other than the terrain."""
-    faces = terrain.faces if isinstance(terrain, PiecewiseTerrain) else ()
-    planes = [face.surface for face in faces] + ([terrain] if isinstance(terrain, Surface) else [])
-    frames = list(plan.contact_frames)
-    return [
-        (phase, frames.index(frame), surface)
-        for phase, surfaces in enumerate(plan.description.surfaces)
-        for frame, surface in surfaces.items()
-        if surface.bilateral or not any(surface.same_plane(plane) for plane in planes)
-    ]
-
-
-def _standing(plan: Solution, separate: Sequence[tuple[int, int, Surface]]) -> tuple[int, ...]:
-    """Contacts that touch the terrain in some phase, or whose image in a periodic plan does."""
-    elsewhere = {(phase, contact) for phase, contact, _ in separate}
-    standing = {
-        int(contact)
-        for phase, rows in enumerate(plan.phases)
-        for contact in np.flatnonzero(plan.active[rows.start])
-        if (phase, contact) not in elsewhere
-    }
-    described = plan.description.periodicity
-    if described:
-        source = image_of_contacts(plan, described)
-        standing |= {contact for contact, other in enumerate(source) if other in standing}
-    return tuple(sorted(standing))
-
-
-def _boards(
-    plan: Solution, separate: Sequence[tuple[int, int, Surface]], place: Surroundings
-) -> list[tuple[Surface, tuple[int, ...], np.ndarray]]:
-    """Unilateral planes, each with its contacts and the points (n, 3) that they touch, soles at corners."""
-    groups: list[tuple[Surface, list[tuple[int, int]]]] = []
-    for phase, contact, surface in separate:
-        if surface.bilateral:
-            continue
-        same = [group for group in groups if group[0].same_plane(surface)]
-        if same:
-            same[0][1].append((phase, contact))
-        else:
-            groups.append((surface, [(phase, contact)]))
-    return [
-        (
-            surface,
-            tuple(sorted({contact for _, contact in uses})),
-            np.concatenate([_under(plan, surface, place, *use) for use in uses]),
-        )
-        for surface, uses in groups
-    ]
-
-
-def _under(plan: Solution, surface: Surface, place: Surroundings, phase: int, contact: int) -> np.ndarray:
-    """Positions (n, 3) of a contact in a phase; for a sole, a square on the plane around its corners."""
-    places = place.feet[plan.phase == phase, contact]
-    size = plan.description.contacts[contact].half_size
-    if size is None:
-        return places
-    around = float(np.hypot(*size)) * np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])
-    turn = frame_of_normal(surface.normal)
-    return np.concatenate([places + turn[:, :2] @ corner for corner in around])
 
 
 def _plane(spec: Any, name: str, surface: Surface, lift: float) -> str:
@@ -280,12 +208,10 @@ def _field(spec: Any, name: str, terrain: SmoothTerrain, lift: float, place: Sur
     return add_geom(spec.worldbody, name, "hfield", hfieldname=name, pos=middle)
 
 
-def _board(
-    spec: Any, name: str, surface: Surface, points: np.ndarray, lift: float, place: Surroundings
-) -> str:
-    """Add a box whose front is the plane, around the points (n, 3) where it is touched."""
-    turn = frame_of_normal(surface.normal)
-    local = (points - surface.point) @ turn[:, :2]
+def _board(spec: Any, name: str, board: Board, lift: float, place: Surroundings) -> str:
+    """Add a box whose front is the board's plane, around the points where it is touched."""
+    surface, turn = board.surface, frame_of_normal(board.surface.normal)
+    local = (board.points - surface.point) @ turn[:, :2]
     low, high = local.min(axis=0) - BOARD * place.reach, local.max(axis=0) + BOARD * place.reach
     deep = BOARD * place.reach
     centre = surface.point + turn @ np.array([*(low + high) / 2, -deep + lift])
@@ -304,15 +230,6 @@ def add_obstacles(spec: Any, obstacles: Sequence[Obstacle]) -> tuple[str, ...]:
         else:
             names.append(add_capsule(world, name, *obstacle.axis, obstacle.radius))
     return tuple(names)
-
-
-def height_over(terrain: Any, points: np.ndarray) -> np.ndarray:
-    """Height (...) in m of points (..., 3) over the terrain; infinite over holes and without terrain."""
-    if terrain is None:
-        return np.full(points.shape[:-1], np.inf)
-    if isinstance(terrain, Surface):
-        return terrain.distance(points)
-    return np.asarray(points[..., 2] - terrain.height(points[..., 0], points[..., 1]))
 
 
 def add_shape(bodies: Bodies, shape: LinkShape, name: str) -> str:

@@ -16,9 +16,9 @@ from trajopt.arguments import checked
 from trajopt.errors import InputError, expanded, first_line
 from trajopt.robot.mujoco_package import mujoco_package, muted_mujoco
 from trajopt.simulation.bodies import body_name, joint_axis, mujoco_quaternion, part_name
-from trajopt.simulation.run import torque_limits
+from trajopt.simulation.scene import Scene, build_scene
 from trajopt.simulation.settings import SimulationSettings
-from trajopt.simulation.world import World, build_world
+from trajopt.simulation.site import Site
 from trajopt.solution.input import SolutionOrFile, require_motion, solution_of
 from trajopt.solution.output import replacing
 from trajopt.solution.solution import Solution
@@ -62,23 +62,23 @@ def write_mjcf(solution: SolutionOrFile, path: str | Path) -> Path:
 def mjcf_of(plan: Solution) -> str:
     """Return the MJCF of a plan; raises `InputError`."""
     with muted_mujoco():
-        return mjcf_of_world(plan, build_world(plan, SimulationSettings()))
+        return mjcf_of_scene(plan, build_scene(Site.of_plan(plan), SimulationSettings()))
 
 
-def mjcf_of_world(plan: Solution, world: World) -> str:
+def mjcf_of_scene(plan: Solution, scene: Scene) -> str:
     """Return the MJCF of a plan's model that is already built; raises `InputError`."""
     with muted_mujoco():
-        root = ElementTree.fromstring(world.bodies.spec.to_xml())
+        root = ElementTree.fromstring(scene.bodies.spec.to_xml())
         root.set("model", str(plan.description.robot))
         for index in range(1, plan.model.njoints):
             _complete_body(root, plan.model, index)
         for joint in root.iter("joint"):
-            _complete_joint(joint, world)
+            _complete_joint(joint, scene)
         _light_scene(root)
-        _draw_bones(root, BONE * world.units.length)
-        _hold_first_grasps(root, world)
-        _add_motors(root, plan)
-        _add_keyframes(root, plan, world)
+        _draw_bones(root, BONE * scene.units.length)
+        _hold_first_grasps(root, scene)
+        _add_motors(root, plan, scene)
+        _add_keyframes(root, plan, scene)
         _rename(root, _names(plan))
         ElementTree.indent(root)
         text = ElementTree.tostring(root, encoding="unicode")
@@ -111,9 +111,9 @@ def _complete_body(root: ElementTree.Element, model: pin.Model, index: int) -> N
         next(iter(body.iter("joint"))).set("axis", _numbers(joint_axis(model, index)[0]))
 
 
-def _complete_joint(joint: ElementTree.Element, world: World) -> None:
+def _complete_joint(joint: ElementTree.Element, scene: Scene) -> None:
     """Write a joint's spring, armature, damping and friction; raises `InputError` if its axes differ."""
-    compiled, name = world.compiled, str(joint.get("name"))
+    compiled, name = scene.compiled, str(joint.get("name"))
     number = compiled.joint(name).id
     if compiled.jnt_stiffness[number]:
         joint.set("stiffness", _numbers(compiled.jnt_stiffness[number]))
@@ -157,16 +157,16 @@ def _draw_bones(root: ElementTree.Element, radius: float) -> None:
                 ElementTree.SubElement(body, "geom", drawn | {"type": "capsule", "fromto": f"0 0 0 {end}"})
 
 
-def _hold_first_grasps(root: ElementTree.Element, world: World) -> None:
-    for grasp in world.grasps:
+def _hold_first_grasps(root: ElementTree.Element, scene: Scene) -> None:
+    for grasp in scene.site.grasps:
         for held in root.findall(f"equality/*[@name='{grasp.name}']"):
             held.set("active", "true" if 0 in grasp.phases else "false")
 
 
-def _add_motors(root: ElementTree.Element, plan: Solution) -> None:
+def _add_motors(root: ElementTree.Element, plan: Solution, scene: Scene) -> None:
     """Add a motor for each torque; its ``ctrl`` is the drive torque. Raises `InputError`."""
     actuator = ElementTree.SubElement(root, "actuator")
-    low, high = torque_limits(plan)
+    low, high = scene.robot.limits
     for row, name in enumerate(plan.torque_names):
         motor = ElementTree.SubElement(actuator, "motor", name=name.replace("/", "_"))
         if np.isfinite(high[row]):
@@ -192,10 +192,10 @@ def _add_motors(root: ElementTree.Element, plan: Solution) -> None:
             motor.set("gear", _numbers([*np.eye(3)[number], 0.0, 0.0, 0.0]))
 
 
-def _add_keyframes(root: ElementTree.Element, plan: Solution, world: World) -> None:
+def _add_keyframes(root: ElementTree.Element, plan: Solution, scene: Scene) -> None:
     ends = plan.sample(times=plan.interval_t[[0, -1], [0, 1]])
-    qpos = world.coordinates.to_mujoco(ends.q)
-    qvel = world.coordinates.rates_to_mujoco(qpos, ends.v)
+    qpos = scene.coordinates.to_mujoco(ends.q)
+    qvel = scene.coordinates.rates_to_mujoco(qpos, ends.v)
     keyframe = ElementTree.SubElement(root, "keyframe")
     for row, name in enumerate(("start", "end")):
         key = ElementTree.SubElement(keyframe, "key", name=name)

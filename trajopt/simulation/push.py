@@ -1,7 +1,7 @@
 """The largest push that a plan survives, for each direction and each controller.
 
 A push is a horizontal impulse at the centre of mass of the base: a constant force for `DURATION` natural
-times sqrt(l / g), with the robot's reach l. It is survived if the robot does not fall (`figures.fall_of`)
+times sqrt(l / g), with the robot's reach l. It is survived if the robot does not fall (`figures.FallTest`)
 within `AFTER` natural times from its start, or by the end of a motion that ends earlier. The natural unit of
 impulses is weight * sqrt(l / g): the momentum of the robot at the speed sqrt(g l).
 """
@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -21,11 +21,13 @@ from trajopt.control.reference import ReferenceTrajectory, reference_of
 from trajopt.dynamics.base_joint import base_of
 from trajopt.errors import InputError
 from trajopt.robot.mujoco_package import muted_mujoco
-from trajopt.simulation.figures import fall_between
+from trajopt.simulation.events import LEAST_LEVEL
+from trajopt.simulation.figures import FallTest
 from trajopt.simulation.record import SimulationRecord
-from trajopt.simulation.run import LEAST_LEVEL, SimulationRun
+from trajopt.simulation.scene import Scene, build_scene
 from trajopt.simulation.settings import Controller, Impulse, SimulationSettings
-from trajopt.simulation.world import World, build_world
+from trajopt.simulation.simulate import plan_run
+from trajopt.simulation.site import Site
 from trajopt.solution.input import SolutionOrFile, require_motion, solution_of
 from trajopt.solution.meta import jsonable
 from trajopt.solution.solution import Solution
@@ -196,7 +198,7 @@ class PushTrials:
 
     plan: Solution
     reference: ReferenceTrajectory
-    world: World
+    scene: Scene
     cycles: int
     begin: int
     end: int
@@ -205,8 +207,8 @@ class PushTrials:
     def of(cls, plan: Solution, time: float | None, cycles: int | None) -> PushTrials:
         """Trials with a push at ``time`` s, see `largest_pushes`. Raises `InputError`."""
         settings = SimulationSettings()
-        world = build_world(plan, settings)
-        follows = AFTER * world.units.time
+        scene = build_scene(Site.of_plan(plan), settings)
+        follows = AFTER * scene.units.time
         described = plan.description.periodicity
         if cycles is None:
             once = float(plan.interval_t[-1, 1] - plan.interval_t[0, 0])
@@ -224,12 +226,12 @@ class PushTrials:
                 f"allowed: 0 to {last * reference.period:g} s",
             )
         end = min(len(reference.t), begin + math.ceil(follows / reference.period))
-        return cls(plan=plan, reference=reference, world=world, cycles=cycles, begin=begin, end=end)
+        return cls(plan=plan, reference=reference, scene=scene, cycles=cycles, begin=begin, end=end)
 
     @property
     def unit(self) -> float:
         """Natural unit of impulses, N s."""
-        return self.world.units.weight * self.world.units.time
+        return self.scene.units.weight * self.scene.units.time
 
     @property
     def time(self) -> float:
@@ -240,7 +242,7 @@ class PushTrials:
     def duration(self) -> float:
         """Duration of the push, s: whole periods of the controller, one or more."""
         period = self.reference.period
-        return period * max(1, round(DURATION * self.world.units.time / period))
+        return period * max(1, round(DURATION * self.scene.units.time / period))
 
     def with_controller(self, controller: Controller) -> Callable[[float, float], bool]:
         """Simulate up to the push; returns a test of survival by angle (degrees) and size (natural units).
@@ -248,15 +250,15 @@ class PushTrials:
         Raises `InputError` if the base's forward axis is vertical then.
         """
         settings = SimulationSettings(controller=controller, cycles=self.cycles)
-        run = SimulationRun(self.plan, self.reference, self.world, settings)
+        run = plan_run(self.plan, self.scene, self.reference, settings)
         record = run.start()
         standing = run.advance(record, 0, self.begin) == self.begin
-        if standing and float(np.linalg.norm(run.forward())) < LEAST_LEVEL:
+        if standing and float(np.linalg.norm(run.events.forward(run.data))) < LEAST_LEVEL:
             raise InputError(
                 f"at {self.time:g} s the base's forward axis points up or down", "allowed: another time"
             )
         standing = standing and not self._falls(record, 0, self.begin)
-        stretch = max(1, round(STRETCH * self.world.units.time / self.reference.period))
+        stretch = max(1, round(STRETCH * self.scene.units.time / self.reference.period))
 
         def survives(angle: float, size: float) -> bool:
             if not standing:
@@ -268,7 +270,7 @@ class PushTrials:
                 time=self.time,
                 duration=self.duration,
             )
-            pushed.impulses = (push,)
+            pushed.events.impulses = (push,)
             for first in range(self.begin, self.end, stretch):
                 last = min(first + stretch, self.end)
                 if pushed.advance(record, first, last) < last or self._falls(record, first, last):
@@ -277,6 +279,11 @@ class PushTrials:
 
         return survives
 
+    @cached_property
+    def _test(self) -> FallTest:
+        return FallTest.of_plan(self.scene, self.plan)
+
     def _falls(self, record: SimulationRecord, first: int, last: int) -> bool:
         """Whether the robot falls in the periods from ``first`` to before ``last``."""
-        return fall_between(self.plan, self.reference, record, self.world, slice(first, last)) is not None
+        rows = slice(first, last)
+        return self._test.first(record, self.reference, rows, self.reference.q[rows]) is not None

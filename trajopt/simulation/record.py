@@ -6,8 +6,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from trajopt.control.tick_counts import TickCounts
-from trajopt.control.tick_request import TickRequest
+from trajopt.control.tick_request import TickCounts, TickRequest
 from trajopt.solution.arrays import rows_of
 
 

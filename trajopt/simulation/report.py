@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from trajopt.control.inverse_dynamics import RELAXED
-from trajopt.control.tick_counts import TickCounts
+from trajopt.control.tick_request import TickCounts
 from trajopt.solution.meta import jsonable
 
 # A plan is tracked if its base ends within this fraction of the reach and within this angle, rad; on a fixed

@@ -1,24 +1,31 @@
 """Simulation of a plan in MuJoCo, in one call."""
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
 from trajopt.arguments import checked
-from trajopt.control.reference import ReferenceTrajectory, reference_of
+from trajopt.control.gains import TrackerGains
+from trajopt.control.reference import ReferenceTrajectory, Timeline, reference_of
+from trajopt.control.tracker import Tracker
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.errors import InputError, not_among
 from trajopt.robot.mujoco_package import muted_mujoco
 from trajopt.simulation import figures
+from trajopt.simulation.controllers import GivenController, TorqueController
+from trajopt.simulation.joint_feedback import JointFeedback
 from trajopt.simulation.record import SimulationRecord
 from trajopt.simulation.report import ContactReport, SimulationReport, TickReport
-from trajopt.simulation.run import run_simulation
+from trajopt.simulation.run import SimulationRun, Start
+from trajopt.simulation.scene import Scene, build_scene
 from trajopt.simulation.settings import FEEDBACK_TIME, SimulationSettings
 from trajopt.simulation.simulated import simulated_solution
-from trajopt.simulation.world import World, build_world
+from trajopt.simulation.site import Site
 from trajopt.solution.input import SolutionOrFile, require_motion, solution_of
 from trajopt.solution.solution import Solution
 
@@ -30,7 +37,7 @@ class Simulation:
     plan: Solution
     settings: SimulationSettings
     reference: ReferenceTrajectory
-    world: World
+    scene: Scene
     record: SimulationRecord
     report: SimulationReport
     wall_time: float
@@ -41,7 +48,8 @@ class Simulation:
 
     @cached_property
     def _solution(self) -> Solution:
-        return simulated_solution(self.plan, self.reference, self.record, self.world, self.report)
+        planned = self.plan.statistics
+        return simulated_solution(self.scene, self.reference, self.record, self.report, planned)
 
 
 @checked
@@ -61,7 +69,7 @@ def simulate(solution: SolutionOrFile, **settings: Any) -> Simulation:
     if unknown:
         raise InputError(f"a simulation has no setting {unknown}", f"allowed: {', '.join(known)}")
     wanted = SimulationSettings(**settings)
-    require_fitting(wanted, plan)
+    require_fitting(wanted, plan.model, plan.contact_frames)
     if wanted.rolling is not None and not plan.description.radii.any():
         raise InputError(
             f"rolling has no effect on '{plan.description.robot}'", "allowed: for contacts with a radius"
@@ -69,24 +77,58 @@ def simulate(solution: SolutionOrFile, **settings: Any) -> Simulation:
     with muted_mujoco():
         reference = reference_of(plan, wanted.control_rate, wanted.cycles)
         require_within(wanted, reference)
-        world = build_world(plan, wanted)
+        scene = build_scene(Site.of_plan(plan), wanted)
         begin = time.perf_counter()
-        record = run_simulation(plan, reference, world, wanted)
+        record = plan_run(plan, scene, reference, wanted).record()
         spent = time.perf_counter() - begin
     return Simulation(
         plan=plan,
         settings=wanted,
         reference=reference,
-        world=world,
+        scene=scene,
         record=record,
-        report=_report(plan, reference, record, world),
+        report=_report(plan, reference, record, scene),
         wall_time=spent,
     )
 
 
-def require_fitting(settings: SimulationSettings, plan: Solution) -> None:
-    """Raise `InputError` for settings that do not fit a plan's robot."""
-    kind = base_of(plan.model)
+def plan_run(
+    plan: Solution, scene: Scene, reference: ReferenceTrajectory, settings: SimulationSettings
+) -> SimulationRun:
+    """The run of a plan from its start, under the controller of the settings. Raises `InputError`."""
+    controller = _controller(plan, scene, reference, settings)
+    start = Start(q=reference.q[0], v=reference.v[0], torque=reference.torque[0])
+    return SimulationRun(scene, reference, controller, start, settings)
+
+
+def _controller(
+    plan: Solution, scene: Scene, reference: ReferenceTrajectory, settings: SimulationSettings
+) -> TorqueController:
+    given = settings.controller
+    if given == "joints":
+        return JointFeedback(scene, reference, settings)
+    if given == "whole-body":
+        return Tracker(
+            plan,
+            rate=settings.control_rate,
+            cycles=settings.cycles,
+            gains=settings.gains or TrackerGains(),
+            solver=settings.qp_solver,
+        )
+    if not isinstance(given, Tracker):
+        return GivenController(given, scene.robot.nu)
+    ticks = len(given.reference.t), given.reference.period
+    if ticks != (len(reference.t), reference.period) or given.plan.model != plan.model:
+        raise InputError(
+            "the Tracker of a simulation is of another plan, or has other ticks",
+            f"allowed: one of this plan, rate={settings.control_rate:g}, cycles={settings.cycles}",
+        )
+    return given
+
+
+def require_fitting(settings: SimulationSettings, model: pin.Model, frames: Sequence[str]) -> None:
+    """Raise `InputError` for settings that do not fit a robot with these contact ``frames``."""
+    kind = base_of(model)
     if settings.push and kind == "fixed":
         raise InputError(
             f"push of {settings.push:g} N on the base, which is fixed", "allowed: 0 N for an arm"
@@ -98,16 +140,16 @@ def require_fitting(settings: SimulationSettings, plan: Solution) -> None:
     if settings.com_offset[1] and kind == "planar":
         aside = settings.com_offset[1]
         raise InputError(f"com_offset of {aside:g} m to the side of a robot in a plane", "allowed: x and z")
-    if any(settings.com_offset) and not plan.model.inertias[BASE_JOINT[kind]].mass > 0:
+    if any(settings.com_offset) and not model.inertias[BASE_JOINT[kind]].mass > 0:
         raise InputError("com_offset of a robot whose base has no mass", "allowed: none for it")
     for name in settings.ground_offsets:
-        if name not in plan.contact_frames:
-            raise not_among(plan.contact_frames, name, f"ground_offsets of SimulationSettings for '{name}'")
+        if name not in frames:
+            raise not_among(frames, name, f"ground_offsets of SimulationSettings for '{name}'")
 
 
-def require_within(settings: SimulationSettings, reference: ReferenceTrajectory) -> None:
+def require_within(settings: SimulationSettings, timeline: Timeline) -> None:
     """Raise `InputError` for an impulse that starts after the simulation."""
-    last = reference.period * (len(reference.t) - 1)
+    last = timeline.period * (len(timeline.t) - 1)
     for impulse in settings.impulses:
         if not impulse.time <= last:
             what = f"an impulse at {impulse.time:g} s is after the simulation"
@@ -115,22 +157,21 @@ def require_within(settings: SimulationSettings, reference: ReferenceTrajectory)
 
 
 def _report(
-    plan: Solution, reference: ReferenceTrajectory, record: SimulationRecord, world: World
+    plan: Solution, reference: ReferenceTrajectory, record: SimulationRecord, scene: Scene
 ) -> SimulationReport:
-    q = world.coordinates.from_mujoco(record.qpos)
-    errors = figures.tracking_errors(plan, reference, q)
-    fall = figures.fall_of(plan, reference, record, q)
-    stances = figures.simulated_stances(plan, reference, record, world)
+    errors = figures.tracking_errors(scene, reference, scene.coordinates.from_mujoco(record.qpos))
+    fall = figures.FallTest.of_plan(scene, plan).first(record, reference, slice(None), reference.q)
+    stances = figures.simulated_stances(plan, reference, record, scene)
     moving, end = base_of(plan.model) != "fixed", min(reference.planned, len(record.feet))
     force = figures.force_error(reference, record)
     return SimulationReport(
         problem=str(plan.description.problem),
         robot=str(plan.description.robot),
-        reach=world.units.length,
+        reach=scene.units.length,
         duration=reference.period * reference.planned,
         held=reference.period * reference.held,
-        timestep=float(world.compiled.opt.timestep),
-        feedback_rate=1.0 / (FEEDBACK_TIME * world.units.time),
+        timestep=float(scene.compiled.opt.timestep),
+        feedback_rate=1.0 / (FEEDBACK_TIME * scene.units.time),
         fell=fall is not None,
         fall_time=None if fall is None else fall.time,
         fall_reason="" if fall is None else fall.why,
@@ -144,16 +185,16 @@ def _report(
         joint_error_max=float(errors.joint[: end + 1].max()),
         joint_error_rms=float(np.sqrt((errors.joints[: end + 1] ** 2).mean())) if errors.joints.size else 0.0,
         saturated=float(record.saturated.mean()) if record.saturated.size else 0.0,
-        swing_load=figures.swing_load(reference, record, world),
-        force_error=None if force is None else force / world.units.weight,
+        swing_load=figures.swing_load(reference, record, scene),
+        force_error=None if force is None else force / scene.units.weight,
         obstacle_hit=bool(record.hit.any()),
         controller=None if record.counts is None else TickReport.of(record.counts),
-        notes=_notes(plan, world),
-        **_contacts(plan, stances, world),
+        notes=_notes(plan, scene),
+        **_contacts(plan, stances, scene),
     )
 
 
-def _contacts(plan: Solution, stances: tuple[figures.SimulatedStance, ...], world: World) -> dict[str, Any]:
+def _contacts(plan: Solution, stances: tuple[figures.SimulatedStance, ...], scene: Scene) -> dict[str, Any]:
     """Fields of the report on contacts."""
     times = [abs(stance.touchdown) for stance in stances if stance.touchdown is not None]
     travel = [stance.travel for stance in stances if stance.travel is not None]
@@ -163,7 +204,7 @@ def _contacts(plan: Solution, stances: tuple[figures.SimulatedStance, ...], worl
     return {
         "touchdown_error": max(times, default=None),
         "missed": sum(stance.missed for stance in stances),
-        "slips": sum(way > figures.SLIP * world.units.length for way in travel),
+        "slips": sum(way > figures.SLIP * scene.units.length for way in travel),
         "slip_travel": max(travel, default=None),
         "contacts": tuple(
             ContactReport(
@@ -177,13 +218,13 @@ def _contacts(plan: Solution, stances: tuple[figures.SimulatedStance, ...], worl
     }
 
 
-def _notes(plan: Solution, world: World) -> tuple[str, ...]:
+def _notes(plan: Solution, scene: Scene) -> tuple[str, ...]:
     """Notes on what the plan prescribes or idealises in the simulation."""
     notes = []
-    for grasp in world.grasps:
+    for grasp in scene.site.grasps:
         phases = plan.description.phase_names[grasp.phases[0] : grasp.phases[-1] + 1]
         notes.append(f"{plan.contact_frames[grasp.contact]} is held as planned in {', '.join(phases)}")
-    for name, depth in world.buried.items() if base_of(plan.model) != "fixed" else ():
+    for name, depth in scene.site.buried.items() if base_of(plan.model) != "fixed" else ():
         notes.append(f"the plan takes {name} {1e3 * max(depth, 0.0):.0f} mm into the ground")
     if plan.description.payloads:
         notes.append("what is carried is part of the link that holds it while the plan carries it")

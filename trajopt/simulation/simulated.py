@@ -12,12 +12,12 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from trajopt.control.reference import ReferenceTrajectory
-from trajopt.motion.touched import held_samples
+from trajopt.control.reference import Timeline
+from trajopt.robot.actuators.joint_force import joint_force
 from trajopt.robot.mujoco_package import mujoco_package
 from trajopt.simulation.figures import loaded_contacts
 from trajopt.simulation.record import SimulationRecord
-from trajopt.simulation.world import World
+from trajopt.simulation.scene import Scene
 from trajopt.solution.arrays import rows_of
 from trajopt.solution.description import PlanDescription
 from trajopt.solution.solution import Solution
@@ -42,28 +42,37 @@ class MotionReport(Protocol):
 
 
 def simulated_solution(
-    plan: Solution,
-    reference: ReferenceTrajectory,
+    scene: Scene,
+    timeline: Timeline,
     record: SimulationRecord,
-    world: World,
-    report: MotionReport,
+    report: MotionReport | None,
+    planned: SolveStatistics | None = None,
 ) -> Solution:
-    """Convert a record to a solution of the plan's model."""
-    n = len(record.feet)
-    steps = round(n * reference.period / world.compiled.opt.timestep)
-    chunks = _chunks(reference.phase[:n])
+    """Convert a record to a solution of the scene's robot.
+
+    Args:
+        scene: the simulated scene.
+        timeline: the ticks of the record.
+        record: the record.
+        report: the report on the motion; None is no success.
+        planned: statistics of the plan that was executed, if any.
+    """
+    n, robot = len(record.feet), scene.robot
+    steps = round(n * timeline.period / scene.compiled.opt.timestep)
+    chunks = _chunks(timeline.phase[:n])
     rows = np.array([[first, first + (end - first) // 2, end] for first, end in chunks]).ravel()
     last = np.minimum(rows, n - 1)  # accelerations and forces are known at the starts of periods
-    q = world.coordinates.from_mujoco(record.qpos)
-    v = world.coordinates.rates_from_mujoco(record.qpos, record.qvel)
-    a = world.coordinates.accelerations_from_mujoco(record.qpos[:n], record.qvel[:n], record.qacc)
-    t = np.append(reference.t[:n], reference.t[n - 1] + reference.period)
-    phase = np.array([reference.phase[first] for first, _ in chunks])
-    own = plan.joint_force(q[last], v[last])  # MuJoCo's joint friction includes it
+    q = scene.coordinates.from_mujoco(record.qpos)
+    v = scene.coordinates.rates_from_mujoco(record.qpos, record.qvel)
+    a = scene.coordinates.accelerations_from_mujoco(record.qpos[:n], record.qvel[:n], record.qacc)
+    t = np.append(timeline.t[:n], timeline.t[n - 1] + timeline.period)
+    phase = np.array([timeline.phase[first] for first, _ in chunks])
+    # MuJoCo's joint friction includes that of the joints themselves.
+    own = joint_force(robot.model, robot.description.joint_forces, q[last], v[last])
     return Solution(
-        description=_description(plan, reference, phase, world),
-        statistics=_statistics(plan, report, steps),
-        model=plan.model,
+        description=_description(scene, timeline, phase),
+        statistics=_statistics(report, steps, planned),
+        model=robot.model,
         t=t[rows],
         phase=np.repeat(phase, 3),
         interval=np.repeat(np.arange(len(chunks)), 3),
@@ -72,9 +81,9 @@ def simulated_solution(
         q=q[rows],
         v=v[rows],
         a=a[last],
-        tau=(record.torque + record.friction)[last] - plan.actuation.inputs(own),
+        tau=(record.torque + record.friction)[last] - robot.actuation.inputs(own),
         f=record.force[last],
-        active=np.repeat(_active(plan, reference, record, world, chunks), 3, axis=0),
+        active=np.repeat(_active(scene, timeline, record, chunks), 3, axis=0),
         **_requests(record, last),
     )
 
@@ -98,40 +107,33 @@ def _chunks(phase: np.ndarray) -> list[tuple[int, int]]:
 
 
 def _active(
-    plan: Solution,
-    reference: ReferenceTrajectory,
-    record: SimulationRecord,
-    world: World,
-    chunks: list[tuple[int, int]],
+    scene: Scene, timeline: Timeline, record: SimulationRecord, chunks: list[tuple[int, int]]
 ) -> np.ndarray:
     """Whether each contact is active (intervals, nc)."""
-    loaded = loaded_contacts(record, world)
-    held = held_samples(plan)[[rows.start for rows in plan.phases]]
+    loaded, held = loaded_contacts(record, scene), scene.site.held
     by_interval, before = [], -1
     for first, end in chunks:
-        active = loaded[first:end].any(axis=0) | held[reference.source[first]]
-        if reference.phase[first] != before:
-            active |= reference.active[first]
+        active = loaded[first:end].any(axis=0) | held[timeline.source[first]]
+        if timeline.phase[first] != before:
+            active |= timeline.active[first]
         by_interval.append(active)
-        before = reference.phase[first]
+        before = timeline.phase[first]
     return np.array(by_interval)
 
 
-def _description(
-    plan: Solution, reference: ReferenceTrajectory, phase: np.ndarray, world: World
-) -> PlanDescription:
-    """The plan's description with the simulated phases (n_chunks,): not periodic, feet rolling as here."""
+def _description(scene: Scene, timeline: Timeline, phase: np.ndarray) -> PlanDescription:
+    """The robot's description with the simulated phases (n_chunks,): not periodic, feet rolling as here."""
     used = int(phase[-1]) + 1
-    source = [int(reference.source[np.argmax(reference.phase == i)]) for i in range(used)]
-    planned = plan.description
+    source = [int(timeline.source[np.argmax(timeline.phase == i)]) for i in range(used)]
+    planned = scene.robot.description
     return replace(
         planned,
         contacts=tuple(
             replace(contact, rolling=bool(rolls))
-            for contact, rolls in zip(planned.contacts, world.place.rolling, strict=True)
+            for contact, rolls in zip(planned.contacts, scene.place.rolling, strict=True)
         ),
         periodicity=None,
-        phase_names=tuple(reference.phase_names[:used]),
+        phase_names=tuple(timeline.phase_names[:used]),
         surfaces=tuple(planned.surfaces[i] for i in source) if planned.surfaces else (),
         patches=tuple(planned.patches[i] for i in source) if planned.patches else (),
         payloads=tuple(
@@ -141,21 +143,19 @@ def _description(
     )
 
 
-def _statistics(plan: Solution, report: MotionReport, steps: int) -> SolveStatistics:
+def _statistics(report: MotionReport | None, steps: int, planned: SolveStatistics | None) -> SolveStatistics:
     versions = {name: installed_version(name) for name in VERSIONED}
+    kept: dict[str, Any] = {"converged": True, "tolerance": 0.0, "wall_time_s": 0.0}
+    if planned is not None:
+        kept = {name: getattr(planned, name) for name in (*kept, "seed", "perturb", "more")}
     return SolveStatistics(
         transcription="simulation",
         solver="mujoco",
         status="simulated",
-        success=report.passed,
-        converged=plan.converged,
+        success=report is not None and report.passed,
         iterations=steps,
         objective=None,
-        tolerance=plan.statistics.tolerance,
-        wall_time_s=plan.statistics.wall_time_s,
         versions={**versions, "mujoco": mujoco_package().__version__},
-        simulation=report.to_dict(),
-        seed=plan.statistics.seed,
-        perturb=plan.statistics.perturb,
-        more=plan.statistics.more,
+        simulation=None if report is None else report.to_dict(),
+        **kept,
     )

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from trajopt.mpc.driven_scene import DrivenScene
 from trajopt.mpc.motion import HorizonMotion
 from trajopt.robot.kinematics import contact_positions, frame_pose
 from trajopt.solution.solution import Solution
@@ -34,7 +35,7 @@ SOURCE = PageSource(
 )
 
 
-def scene_of(stand: Solution, driver: PageController) -> tuple[list[ViewerCommand], dict[str, Any]]:
+def scene_of(stand: Solution, driver: PageController[Any]) -> tuple[list[ViewerCommand], dict[str, Any]]:
     """Commands that draw robot and ground, and the page's facts: sliders, gaits, joints, sizes in m."""
     commands, facts = still_scene(stand)
     model, moves = stand.model, driver.robot.base != "fixed"
@@ -64,11 +65,12 @@ class Painter:
     def state(self, *, plan: bool = True) -> dict[str, Any]:
         """The current state, JSON-able; with ``plan`` the lines of the plan are computed again."""
         session, driver = self._session, self._session.driver
-        record, row = session.record, max(session.row - 1, 0)
-        q = session.world.coordinates.from_mujoco(session.run.data.qpos[None])[0]
+        driven = session.driven
+        record, row = driven.record, max(driven.row - 1, 0)
+        q = driven.scene.coordinates.from_mujoco(driven.run.data.qpos[None])[0]
         pin.forwardKinematics(self._model, self._data, q)
         poses = [pin.SE3ToXYZQUAT(self._data.oMi[joint]) for joint in range(1, self._model.njoints)]
-        forces = record.force[row, :, :3] / session.world.units.weight
+        forces = record.force[row, :, :3] / driven.scene.units.weight
         if plan:
             motion = driver.plans.motion
             self._plan = {} if motion is None else self._lines(motion)
@@ -79,14 +81,16 @@ class Painter:
             **self._plan,
             "values": dict(driver.values),
             "gait": driver.gait,
-            "fallen": "" if session.fall is None else session.fall.why,
+            "fallen": "" if driven.fall is None else driven.fall.why,
             "figures": figures_of(session, q),
         }
 
     def _lines(self, motion: HorizonMotion) -> dict[str, Any]:
         """The remaining plan: lines (n, 3), m, of base and contacts, or of the tool; dots at footholds."""
         robot, driver = self._robot, self._session.driver
-        times = np.linspace(max(self._session.passed, motion.begin), motion.begin + motion.duration, POINTS)
+        times = np.linspace(
+            max(self._session.driven.passed, motion.begin), motion.begin + motion.duration, POINTS
+        )
         if isinstance(driver, ArmDriver):
             postures = [motion.configuration(float(time)) for time in times]
             tools = [frame_pose(robot, q, driver.tool).translation.tolist() for q in postures]
@@ -107,7 +111,7 @@ def figures_of(session: DriveSession, q: np.ndarray) -> list[dict[str, Any]]:
     relaxed = ", ".join(f"{name} {count}" for name, count in plans.report.relaxed.items() if count)
     missed, made, anew = plans.report.missed, len(plans.report.planning), plans.report.anew
     return [
-        _figure("simulated", f"{session.passed:.1f} s"),
+        _figure("simulated", f"{session.driven.passed:.1f} s"),
         _figure("pace", f"{session.pace:.2f}, {session.behind:.1f} s behind", session.pace < SLOW),
         *_motion_figures(session, q),
         _figure("plans", f"{median:.1f} ms median, {high:.1f} at 99 %", high > 1e3 * plans.delay),
@@ -129,18 +133,18 @@ def _motion_figures(session: DriveSession, q: np.ndarray) -> list[dict[str, Any]
     asked = (command.speed, command.lateral, command.turn_rate)
     return [
         _figure(name, f"{now:+.2f} of {wanted:+.2f} {unit}")
-        for (name, unit), now, wanted in zip(names, _speeds(session), asked, strict=True)
+        for (name, unit), now, wanted in zip(names, _speeds(session.driven), asked, strict=True)
     ]
 
 
-def _speeds(session: DriveSession) -> tuple[float, float, float]:
+def _speeds(driven: DrivenScene) -> tuple[float, float, float]:
     """Mean speed forward and to the left, m/s, and turn rate, rad/s, over the last `WINDOW` s."""
-    period = session.reference.period
-    count = min(session.row, round(WINDOW / period))
+    period = driven.timeline.period
+    count = min(driven.row, round(WINDOW / period))
     if count < 2:
         return 0.0, 0.0, 0.0
-    qpos, lasts = session.record.qpos[[session.row - count, session.row - 1]], (count - 1) * period
-    before, after = session.world.coordinates.from_mujoco(qpos)
+    qpos, lasts = driven.record.qpos[[driven.row - count, driven.row - 1]], (count - 1) * period
+    before, after = driven.scene.coordinates.from_mujoco(qpos)
     first, last = (
         math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)) for x, y, z, w in (before[3:7], after[3:7])
     )

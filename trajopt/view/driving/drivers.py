@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from abc import ABC, abstractmethod
-from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from typing_extensions import override
 
 from trajopt.collision import Obstacle
 from trajopt.errors import InputError, not_among, shown
-from trajopt.mpc.arm import ArmController, ArmSettings, ToolTarget
+from trajopt.mpc.arm import ArmController, ArmSettings
+from trajopt.mpc.arm_drive import AXES, DELAY, PERIOD, ToolSteering
 from trajopt.mpc.commands import STAND, Command
 from trajopt.mpc.controller import Controller
-from trajopt.mpc.follow import Follower
+from trajopt.mpc.lockstep import Steering
 from trajopt.mpc.plans import Plans
 from trajopt.mpc.receding import ControllerSettings
-from trajopt.robot.kinematics import frame_pose
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.robot.robot import Robot
 from trajopt.schedule.gaits import gait_names
@@ -36,17 +34,12 @@ FEET, CAREFUL = 4, 0.4
 SLOW_GAITS, SLOW = ("walk", "amble"), 0.5
 # Largest and initial push in units of weight times natural time.
 MOST_PUSH, USUAL_PUSH = 0.5, 0.1
-# Target of an arm: largest offset from its start over the robot's length, and speed in natural units.
-FARTHEST, TARGET_SPEED = 0.35, 0.2
-# Period and delay of plans, s. They are made in the loop: with Python's lock a separate thread is slower.
-PERIOD, DELAY = 0.02, 0.01
 # Names of the sliders of a push.
 PUSH, DIRECTION = "push", "direction"
 GAIT, SPEEDS = "gait", ("speed", "lateral", "turn_rate")
 # A browser rounds the ends of a slider: values this far beyond them are clipped.
 EDGE = 1e-9
-# The value of a log entry.
-Sent = TypeVar("Sent")
+AnySteering = TypeVar("AnySteering", bound=Steering | ToolSteering)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,22 +55,22 @@ class Slider:
     keys: tuple[str, str] = ("", "")
 
 
-class PageController(ABC):
-    """A robot steered from a page; the simulation uses it as its torque controller.
+class PageController(ABC, Generic[AnySteering]):
+    """A robot that is steered from a page.
 
     Attributes:
+        steering: the controller that follows what is set.
         obstacles: avoided by the robot.
         sliders, gaits: what the page can set.
         values, gait: what is set now.
-        offset: added to the time of the simulation, s.
     """
 
     robot: Robot
+    steering: AnySteering
     obstacles: tuple[Obstacle, ...] = ()
 
     def __init__(self, sliders: Sequence[Slider], gaits: Sequence[str]) -> None:
         self.sliders, self.gaits = tuple(sliders), tuple(gaits)
-        self.offset = 0.0
         self.stand()
 
     def stand(self) -> None:
@@ -111,14 +104,14 @@ class PageController(ABC):
     def begin(self) -> None:
         """Restart with a fresh controller."""
 
-    @abstractmethod
-    def torque(self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray) -> np.ndarray:
-        """Torques (nu,) at time ``t``, s; see `TorqueController`."""
-
     @property
-    @abstractmethod
     def plans(self) -> Plans:
         """The current plan, and figures of all plans."""
+        return self.steering.controller.plans
+
+    def height(self, time: float) -> float:
+        """Commanded height of the base over that of the reference posture, m."""
+        return 0.0
 
     @property
     def target(self) -> np.ndarray | None:
@@ -130,7 +123,7 @@ class PageController(ABC):
         self.plans.close()
 
 
-class LegsDriver(PageController):
+class LegsDriver(PageController[Steering]):
     """A legged robot that follows a commanded gait, speeds and height.
 
     Args:
@@ -138,8 +131,7 @@ class LegsDriver(PageController):
         gaits: to prepare; default: those of `USUAL_GAITS` that the robot has.
         settings: of the controller; default: a plan every `PERIOD` s, made in the loop.
 
-    ``controller`` is the current one, ``log`` the commands since the last begin with their times in s, and
-    ``slack`` as in `Steering`.
+    ``steering`` has the current controller, ``log`` the commands since the last begin with their times in s.
 
     Raises:
         InputError: for another base, or a gait that the robot does not have.
@@ -170,7 +162,7 @@ class LegsDriver(PageController):
             ],
             names,
         )  # fmt: skip
-        self.controller = self._made
+        self.steering = Steering(self._made, self._noted)
         self.begin()
 
     @property
@@ -194,24 +186,14 @@ class LegsDriver(PageController):
     def begin(self) -> None:
         self.close()
         self.log: list[tuple[float, Command]] = []
-        self.offset = self.slack = 0.0
-        self.controller = _as_new(self._made)
+        self.steering = Steering(self._made.fresh(), self._noted)
 
     @override
-    def torque(self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray) -> np.ndarray:
-        time = t + self.offset
-        torque = self.controller.step(time, q, v, touching, self._noted(time))
-        if self.controller.follower.last is not None:
-            self.slack = max(self.slack, self.controller.follower.last.slack)
-        return torque
-
-    @property
-    @override
-    def plans(self) -> Plans:
-        return self.controller.plans
+    def height(self, time: float) -> float:
+        return self.command.height
 
 
-class ArmDriver(PageController):
+class ArmDriver(PageController[ToolSteering]):
     """An arm whose tool follows a target, which moves at a bounded speed to where the page sets it.
 
     Args:
@@ -220,7 +202,7 @@ class ArmDriver(PageController):
         settings: of the controller; default: a plan every `PERIOD` s, made in the loop.
         obstacles: in the world, avoided by the arm.
 
-    ``controller`` is the current one, ``path`` the path of the target since the last begin.
+    ``steering`` has the current controller and the path of the target since the last begin.
 
     Raises:
         InputError: for another base or frame.
@@ -236,15 +218,13 @@ class ArmDriver(PageController):
         self.robot, self.obstacles = robot, tuple(obstacles)
         chosen = settings or ArmSettings(period=PERIOD, delay=DELAY)
         self._made = ArmController(robot, tool, self.obstacles, chosen)
-        self.controller = self._made
-        self._start = frame_pose(robot, robot.reference, self._made.tool)
-        units = NaturalUnits.of(robot.model)
-        self._speed, far = TARGET_SPEED * units.length / units.time, FARTHEST * robot.length
-        keys = (("w", "s"), ("a", "d"), ("e", "q"))
+        self.steering = ToolSteering(self._made, self._goal)
+        steering, keys = self.steering, (("w", "s"), ("a", "d"), ("e", "q"))
+        ends = zip(AXES, *np.array([steering.low, steering.place, steering.high]).tolist(), keys, strict=True)
         super().__init__(
             [
-                Slider(name=axis, label=axis, unit="m", low=at - far, high=at + far, value=at, keys=pair)
-                for axis, at, pair in zip("xyz", self._start.translation.tolist(), keys, strict=True)
+                Slider(name=axis, label=axis, unit="m", low=low, high=high, value=at, keys=pair)
+                for axis, low, at, high, pair in ends
             ],
             (),
         )
@@ -253,54 +233,20 @@ class ArmDriver(PageController):
     @override
     def begin(self) -> None:
         self.close()
-        self.controller = copy.copy(self._made)
-        self.controller.plans = _plans_of(self._made.settings)
-        self.offset, self._place = 0.0, self._start.translation.copy()
-        self.path = TargetPath(self._place, self._speed)
+        self.steering = ToolSteering(self._made.fresh(), self._goal)
 
-    @override
-    def torque(self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray) -> np.ndarray:
-        time = t + self.offset
-        self.path.send(time, np.array([self.values[axis] for axis in "xyz"]))
-        self._place, velocity = self.path.at(time)
-        target = ToolTarget(position=self._place, rotation=self._start.rotation, velocity=velocity)
-        return self.controller.step(time, q, v, target)
-
-    @property
-    @override
-    def plans(self) -> Plans:
-        return self.controller.plans
+    def _goal(self, time: float) -> np.ndarray:
+        return np.array([self.values[axis] for axis in AXES])
 
     @property
     @override
     def target(self) -> np.ndarray:
-        return self._place
+        return self.steering.place
 
     @property
     def tool(self) -> str:
         """Name of the frame that follows the target."""
         return self._made.tool
-
-
-def since(log: Sequence[tuple[float, Sent]], offset: float) -> list[tuple[float, Sent]]:
-    """The entries of a log in effect from ``offset`` s on, with times relative to it; the first is at 0."""
-    times = [max(time - offset, 0.0) for time, _ in log]
-    first = sum(time == 0.0 for time in times) - 1
-    return [(time, sent) for time, (_, sent) in zip(times, log, strict=True)][first:]
-
-
-def _as_new(made: Controller) -> Controller:
-    """A fresh copy of ``made``, which is itself never run; the copies share its horizons."""
-    new = copy.copy(made)
-    new.clock, new.ground, new.planner = made.clock.copy(), made.ground.copy(), copy.copy(made.planner)
-    new.follower = Follower(made.robot, made.settings.gains, friction=made.settings.friction)
-    new.plans = _plans_of(made.settings)
-    new.planner.report = new.plans.report
-    return new
-
-
-def _plans_of(settings: ControllerSettings | ArmSettings) -> Plans:
-    return Plans(settings.period, settings.delay, live=settings.live)
 
 
 def _even(name: str, label: str, unit: str, most: float, keys: tuple[str, str] = ("", "")) -> Slider:
@@ -312,36 +258,3 @@ def _rounded(value: float) -> float:
     """The value rounded to two significant digits."""
     digits = 1 - math.floor(math.log10(value))
     return round(value, digits)
-
-
-class TargetPath:
-    """A target that moves along straight lines at constant speed to where it was last sent.
-
-    Args:
-        start: initial position (3,), m.
-        speed: m/s.
-
-    ``goals`` are the times, s, and positions (3,), m, to which it was sent.
-    """
-
-    def __init__(self, start: np.ndarray, speed: float) -> None:
-        self._speed = speed
-        self.goals = [(0.0, start)]
-        self._from = [start]
-
-    def send(self, time: float, goal: np.ndarray) -> None:
-        """Send the target to ``goal`` (3,), m, at ``time``, s, which is not before that of the last call."""
-        if not np.array_equal(goal, self.goals[-1][1]):
-            start, _ = self.at(time)
-            self.goals.append((time, goal))
-            self._from.append(start)
-
-    def at(self, time: float) -> tuple[np.ndarray, np.ndarray]:
-        """Position (3,), m, and velocity (3,), m/s, of the target at ``time``, s."""
-        last = max(bisect_right(self.goals, time, key=lambda sent: sent[0]) - 1, 0)
-        (begun, goal), start = self.goals[last], self._from[last]
-        way = goal - start
-        far, gone = float(np.linalg.norm(way)), self._speed * (time - begun)
-        if gone >= far:
-            return goal, np.zeros(3)
-        return start + gone / far * way, self._speed / far * way

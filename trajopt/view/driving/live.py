@@ -33,7 +33,7 @@ def driver_of(
     gaits: Sequence[str] | None = None,
     settings: ControllerSettings | ArmSettings | None = None,
     obstacles: Sequence[Obstacle] = (),
-) -> PageController:
+) -> PageController[Any]:
     """Return the driver of a robot: a `LegsDriver`, or with ``target`` an `ArmDriver`.
 
     Raises:
@@ -44,7 +44,7 @@ def driver_of(
         return ArmDriver(robot, settings=chosen, obstacles=obstacles)
     if robot.base == "fixed":
         raise InputError(
-            f"robot '{robot.name}' has a fixed base", "allowed: with --target, an arm's tool follows"
+            f"robot '{robot.name}' has a fixed base", "allowed: with a target, which an arm's tool follows"
         )
     return LegsDriver(robot, gaits, settings if isinstance(settings, ControllerSettings) else None)
 
@@ -107,9 +107,9 @@ class LiveDrive:
         With ``seconds``, a fall also ends the drive; an error of the controller counts as one. With
         ``exit_with_page``, it ends `SILENCE` s after the last message of the page.
         """
-        session, turns = self.session, 0
+        session, driven, turns = self.session, self.session.driven, 0
         while not (leaving() or (exit_with_page and session.silent)):
-            if seconds is not None and (session.passed >= seconds - LEAST or session.fall is not None):
+            if seconds is not None and (driven.passed >= seconds - LEAST or driven.fall is not None):
                 return
             session.turn()
             turns += 1

@@ -43,10 +43,10 @@ class DriveServer:
 
     def __init__(self, port: int | None = None) -> None:
         if port is not None and not 0 < port <= LAST_PORT:
-            raise InputError(f"--port is {port}", f"allowed: 1 to {LAST_PORT}")
+            raise InputError(f"port is {port}", f"allowed: 1 to {LAST_PORT}")
         self.page, self.scene = "", list[bytes]()
         self.obey: Callable[[Any], None] = _nothing_yet
-        self.told: dict[str, bytes] = {}
+        self.latest: dict[str, bytes] = {}
         self.browsers: set[_Browser] = set()
         self._loop, started = asyncio.new_event_loop(), Future[int]()
         self._thread = threading.Thread(target=self._serve, args=(started, port), daemon=True)
@@ -81,7 +81,7 @@ class DriveServer:
             self._thread.join(END)
 
     def _tell(self, path: str, data: bytes) -> None:
-        self.told[path] = data
+        self.latest[path] = data
         for browser in self.browsers:
             browser.tell(data)
 
@@ -116,7 +116,7 @@ class DriveServer:
                 continue
             return server, each
         taken = f"port {port} is taken" if port else f"no port from {PORTS.start} to {PORTS.stop - 1} is free"
-        raise InputError(taken, "allowed: a free one, --port N")
+        raise InputError(taken, "allowed: a free port")
 
 
 def _nothing_yet(wanted: Any) -> None:
@@ -141,7 +141,7 @@ class _Browser(tornado.websocket.WebSocketHandler):
 
     @override
     def open(self, *args: str, **kwargs: str) -> None:
-        for data in (*self.server.scene, *self.server.told.values()):
+        for data in (*self.server.scene, *self.server.latest.values()):
             self.write_message(data, binary=True)
         self.server.browsers.add(self)
 

@@ -8,36 +8,27 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from dataclasses import replace
 from typing import Any, Protocol
 
-import numpy as np
-
-from trajopt.control.reference import stance_reference
-from trajopt.dynamics.base_joint import BASE_JOINT, base_of
-from trajopt.errors import InputError, TrajoptError, not_among, shown
-from trajopt.mpc import lockstep
+from trajopt.errors import InputError, not_among, shown
+from trajopt.mpc.arm_drive import RATE, ArmDrive, since
 from trajopt.mpc.commands import CommandScript
-from trajopt.robot.mujoco_package import muted_mujoco
-from trajopt.simulation.bodies import body_name
-from trajopt.simulation.figures import Fall, fall_between
+from trajopt.mpc.driven_scene import DrivenScene
+from trajopt.mpc.lockstep import DrivenMotion
 from trajopt.simulation.push import DURATION
-from trajopt.simulation.run import SimulationRun
-from trajopt.simulation.settings import SimulationSettings
-from trajopt.simulation.simulate import require_fitting, require_within
-from trajopt.simulation.world import build_world
-from trajopt.view.driving.arm_drive import ArmDrive, arm_drive
-from trajopt.view.driving.drivers import DIRECTION, PUSH, ArmDriver, LegsDriver, PageController, since
+from trajopt.simulation.settings import Impulse, SimulationSettings
+from trajopt.simulation.simulated import simulated_solution
+from trajopt.view.driving.drivers import DIRECTION, PUSH, ArmDriver, LegsDriver, PageController
 
-# Physics per turn of the loop, s; control rate, Hz; longest record kept for a file, s.
-STRETCH, RATE, KEPT = 0.02, 500.0, 60.0
+# Physics per turn of the loop, s.
+STRETCH = 0.02
+# Longest record kept for a file, s.
+KEPT = 60.0
 # Largest delay that is caught up, s; time without a message after which the page counts as gone, s.
 CATCH, SILENCE = 0.1, 2.0
 # Window over which the pace is measured, s.
 WINDOW = 1.0
 ACTION, RESET = "action", "reset"
-# Fields of a reference with a row per tick.
-ROWS = ("t", "q", "v", "a", "torque", "f", "active", "phase", "source")
 
 
 class Clock(Protocol):
@@ -75,8 +66,8 @@ class DriveSession:
             `RATE` Hz.
 
     Attributes:
-        passed: simulated time since the last begin, s.
-        fall: how the drive ended, if the robot fell.
+        driven: the simulation since the last begin.
+        stand: the robot at rest at the start.
         behind: time by which simulated time has fallen behind, s.
         silent: whether the page was connected and is gone.
 
@@ -86,30 +77,22 @@ class DriveSession:
 
     def __init__(
         self,
-        driver: PageController,
+        driver: PageController[Any],
         *,
         clock: Clock | None = None,
         keep: float = KEPT,
         **hardware: Any,
     ) -> None:
         self.driver, self.clock = driver, clock or WallClock()
-        self.stand = lockstep.stand_of(driver.robot, None).with_description(obstacles=driver.obstacles)
-        self.settings = SimulationSettings(
-            controller=driver, **{"control_rate": RATE, "rolling": True, **hardware}
-        )
-        require_fitting(self.settings, self.stand)
-        reference = stance_reference(self.stand, self.settings.control_rate, keep)
-        self._still = replace(reference, phase_names=("drive",))
-        require_within(self.settings, self._still)
-        with muted_mujoco():
-            self.world = build_world(self.stand, self.settings, math.inf)
-        base = body_name(BASE_JOINT[base_of(self.stand.model)])
-        self._base = self.world.compiled.body(base).id
+        settings = SimulationSettings(**{"control_rate": RATE, "rolling": True, **hardware})
+        self.driven = DrivenScene(driver.robot, settings, keep, obstacles=driver.obstacles)
         self._actions: deque[str] = deque()
         self._heard: float | None = None
         self.silent, self.behind = False, 0.0
-        self.units = self.world.units
         self.reset()
+        self.stand = simulated_solution(
+            self.driven.scene, self.driven.timeline, self.driven.record.until(1), None
+        )
 
     def obey(self, message: Any) -> None:
         """Handle a message of the page, from any thread: values to set, and an action, "push" or "reset".
@@ -133,20 +116,9 @@ class DriveSession:
         """Put the robot back into its stand, with a fresh controller."""
         self.driver.stand()
         self.driver.begin()
-        self.reference = replace(self._still, q=self._still.q.copy())
-        with muted_mujoco():
-            self.run = SimulationRun(self.stand, self.reference, self.world, self.settings)
-            self.record = self.run.start()
-        self.row = 0
-        self.fall: Fall | None = None
-        self._pushed, self._force = 0, np.zeros(3)
+        self.driven.begin(self.driver.steering, self.driver.height)
         self._marks: deque[tuple[float, float]] = deque([(self.clock.now(), 0.0)])
         self._origin = self.clock.now()
-
-    @property
-    def passed(self) -> float:
-        """Simulated time since the last begin, s."""
-        return self.driver.offset + self.row * self.reference.period
 
     def turn(self) -> None:
         """Carry out pending actions and simulate a stretch; a fallen robot stays as it is."""
@@ -155,22 +127,22 @@ class DriveSession:
         if self._heard is not None and not self.silent and self.clock.now() - self._heard > SILENCE:
             self.driver.stand()
             self.silent = True
-        if self.fall is None:
-            self.advance(max(1, round(STRETCH / self.reference.period)))
+        if self.driven.fall is None:
+            self.driven.advance(max(1, round(STRETCH / self.driven.timeline.period)))
 
     def wait(self) -> None:
         """Sleep until the wall clock reaches simulated time; a delay beyond `CATCH` s is given up."""
         now = self.clock.now()
-        if self.fall is not None:
-            self._origin = now - self.passed
+        if self.driven.fall is not None:
+            self._origin = now - self.driven.passed
             self.clock.sleep(STRETCH)
             return
-        ahead = self._origin + self.passed - now
+        ahead = self._origin + self.driven.passed - now
         if ahead > 0:
             self.clock.sleep(ahead)
         elif -ahead > CATCH:
             self._origin, self.behind = self._origin - ahead - CATCH, self.behind - ahead - CATCH
-        self._marks.append((self.clock.now(), self.passed))
+        self._marks.append((self.clock.now(), self.driven.passed))
         while len(self._marks) > 2 and self._marks[-1][0] - self._marks[0][0] > WINDOW:
             self._marks.popleft()
 
@@ -181,92 +153,31 @@ class DriveSession:
         return (after - before) / (end - begin) if end > begin else 1.0
 
     def _begin_push(self) -> None:
-        """Begin a level push on the base with the size and direction set by the page."""
-        period, values = self.reference.period, self.driver.values
-        self._pushed = max(1, round(DURATION * self.units.time / period))
-        level = self.run.forward()
-        along, angle = level / max(float(np.linalg.norm(level)), 1e-9), math.radians(values[DIRECTION])
-        turned = math.cos(angle) * along + math.sin(angle) * np.cross(self.run.up, along)
-        self._force = values[PUSH] / (self._pushed * period) * turned
+        """Begin the level push on the base that the page has set; it ends an earlier one."""
+        values, run = self.driver.values, self.driven.run
+        run.events.impulses = (
+            Impulse(
+                direction=math.radians(values[DIRECTION]),
+                size=values[PUSH],
+                time=self.driven.passed,
+                duration=DURATION * self.driven.scene.units.time,
+            ),
+        )
 
-    def advance(self, count: int) -> None:
-        """Simulate ``count`` periods, or up to a fall."""
-        if self.row + count > len(self.reference.t):
-            self._forget()
-        first, end = self.row, self.row + count
-        xfrc = self.run.data.xfrc_applied
-        with muted_mujoco():
-            while self.row < end and self.fall is None:
-                pushed = min(self._pushed, end - self.row)
-                xfrc[self._base, :3] = self._force if pushed else 0.0
-                last = self.row + pushed if pushed else end
-                self._pushed -= pushed
-                self._simulate(last)
-        if isinstance(self.driver, LegsDriver) and self.row > first:
-            self._judge(self.driver, slice(first, self.row))
-
-    def _simulate(self, last: int) -> None:
-        """Simulate up to row ``last``; divergence and errors of the controller count as falls."""
-        why = "the simulation diverged"
-        try:
-            reached = self.run.advance(self.record, self.row, last)
-        except TrajoptError as error:
-            reached, why = self.row, str(error)
-        self.row = reached
-        if reached < last:
-            self.fall = Fall(time=self.passed, why=why)
-
-    def _judge(self, driver: LegsDriver, rows: slice) -> None:
-        """Record a fall if the robot has fallen in these rows."""
-        q = self.world.coordinates.from_mujoco(self.record.qpos[rows])
-        heights = [driver.command.height] * len(q)
-        self.reference.q[rows] = lockstep.upright(self.stand, q, heights)
-        found = fall_between(self.stand, self.reference, self.record, self.world, rows)
-        self.fall = self.fall or found
-
-    def _forget(self) -> None:
-        """Drop the oldest part of the record: half of its capacity."""
-        half = len(self.reference.t) // 2
-        kept = [part for part in vars(self.record).values() if isinstance(part, np.ndarray)]
-        for part in (*kept, self.reference.q):
-            part[: self.row - half] = part[half : self.row].copy()
-        self.row -= half
-        self.driver.offset += half * self.reference.period
-
-    def as_drive(self) -> lockstep.DrivenMotion | ArmDrive:
+    def as_drive(self) -> DrivenMotion | ArmDrive:
         """The recorded drive since the last begin; its settings do not contain pushes on legs.
 
         Raises:
             InputError: if nothing was simulated.
         """
-        if self.row < 2:
+        driver, driven = self.driver, self.driven
+        if driven.row < 2:
             raise InputError("nothing was simulated", "allowed: a drive of some time")
-        rows = {name: getattr(self.reference, name)[: self.row] for name in ROWS}
-        reference = replace(self.reference, **rows)
-        if self.fall is None and self.row < len(self.reference.t):
-            record = self.record.until(self.row + 1)
-            record.qpos[self.row], record.qvel[self.row] = self.run.data.qpos, self.run.data.qvel
-        else:
-            record = self.run.ended(self.record, self.row)
-        driver = self.driver
         if isinstance(driver, ArmDriver):
-            return arm_drive(driver, self.stand, reference, self.world, record, self.fall)
+            return ArmDrive.of(driven, driver.steering)
         assert isinstance(driver, LegsDriver)
-        script = CommandScript(*zip(*since(driver.log, driver.offset), strict=True))
-        steering = lockstep.Steering(driver.controller, script)
-        steering.slack = driver.slack
-        velocity = lockstep.base_velocity(self.world, self.stand, record)
-        return lockstep.DrivenMotion(
-            robot=driver.robot,
-            script=script,
-            controller=driver.controller,
-            settings=self.settings,
-            stand=self.stand,
-            reference=reference,
-            world=self.world,
-            record=record,
-            report=lockstep.report_of(steering, reference, record, self.fall, velocity),
-        )
+        script = CommandScript(*zip(*since(driver.log, driven.offset), strict=True))
+        return DrivenMotion.of(driven, driver.steering, script, driven.timeline.until(driven.row))
 
     def close(self) -> None:
         """Stop the planning thread."""

@@ -13,9 +13,10 @@ from trajopt.collision.description import robot_shapes
 from trajopt.collision.shapes import LinkShape, SphereObstacle
 from trajopt.motion.samples import sample_quantities
 from trajopt.robot.actuators.drive import Drive
+from trajopt.simulation.scene import AROUND_FOOT, build_scene
 from trajopt.simulation.settings import SimulationSettings
 from trajopt.simulation.simulate import simulate
-from trajopt.simulation.world import AROUND_FOOT, build_world
+from trajopt.simulation.site import Site
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.shapes import Bump
 from trajopt.terrain.smooth import SmoothTerrain
@@ -51,14 +52,14 @@ def test_robot_stands_on_every_kind_of_ground(terrain, stand):
     found = simulate(with_meta(stand, terrain=terrain.describe()))
     assert found.report.passed
     assert found.report.base_error_max < STANDS
-    assert found.record.force[-1, :, 2].sum() == pytest.approx(found.world.units.weight, rel=1e-3)
+    assert found.record.force[-1, :, 2].sum() == pytest.approx(found.scene.units.weight, rel=1e-3)
 
 
 @pytest.mark.parametrize("rolling", [False, True])
 def test_feet_touch_at_their_radius_whether_they_roll_or_not(rolling, stand):
     found = simulate(stand, rolling=rolling)
     assert found.report.base_error_max < STANDS
-    place, radius = found.world.place, stand.meta["contact_radius"][0]
+    place, radius = found.scene.place, stand.meta["contact_radius"][0]
     assert place.sizes == pytest.approx(np.full(4, radius if rolling else place.ball))
     assert place.sizes + place.lifts == pytest.approx(np.full(4, radius))
     height = found.record.feet[-1, :, 2]
@@ -115,20 +116,22 @@ def test_links_have_the_shapes_of_the_file():
 def test_links_that_the_plan_has_on_the_ground_do_not_touch_it(stand):
     shapes = robot_shapes(robots.load("solo12"))
     plan = with_meta(stand, bodies=shapes.describe())
-    world = build_world(plan, SimulationSettings())
-    geoms = [world.compiled.geom(i).name for i in np.flatnonzero(world.links)]
+    scene = build_scene(Site.of_plan(plan), SimulationSettings())
+    geoms = [scene.compiled.geom(i).name for i in np.flatnonzero(scene.links)]
     assert len(geoms) == len(shapes.shapes) - len(stand.contact_frames)
     assert simulate(plan).report.base_error_max < STANDS
 
 
 def test_what_touches_within_its_ball_or_sole_is_a_foot(stand):
-    solo12 = build_world(stand, SimulationSettings())
+    solo12 = build_scene(Site.of_plan(stand), SimulationSettings())
     assert solo12.feet == pytest.approx(np.full(4, robots.load("solo12").contacts[0].radius + AROUND_FOOT))
     talos = robots.load("talos")
     sizes = [[own.half_length, own.half_width] if own.kind == "surface" else None for own in talos.contacts]
     plan = with_meta(sampled(talos, [standing(talos, 0.1)], 4), contact_sizes=sizes)
     extents = [np.hypot(*(size or (0.0, 0.0))) for size in sizes]
-    assert build_world(plan, SimulationSettings()).feet == pytest.approx(np.array(extents) + AROUND_FOOT)
+    assert build_scene(Site.of_plan(plan), SimulationSettings()).feet == pytest.approx(
+        np.array(extents) + AROUND_FOOT
+    )
 
 
 def test_friction_of_drives_is_overcome_by_the_planned_torques():
@@ -218,13 +221,13 @@ def test_board_carries_whole_soles():
     sizes = [[c.half_length, c.half_width] if c in feet else None for c in robot.contacts]
     board = Surface(point=np.zeros(3), normal=np.array(UP)).describe()
     plan = with_meta(plan, terrain=None, contact_sizes=sizes, surfaces=[{feet[0].frame: board}])
-    world = build_world(plan, SimulationSettings())
-    state = mujoco.MjData(world.compiled)
-    state.qpos[:] = world.coordinates.to_mujoco(plan.q[:1])[0]
-    mujoco.mj_kinematics(world.compiled, state)
-    board = world.compiled.geom("board0").id
+    scene = build_scene(Site.of_plan(plan), SimulationSettings())
+    state = mujoco.MjData(scene.compiled)
+    state.qpos[:] = scene.coordinates.to_mujoco(plan.q[:1])[0]
+    mujoco.mj_kinematics(scene.compiled, state)
+    board = scene.compiled.geom("board0").id
     number = plan.contact_frames.index(feet[0].frame)
-    for ball in np.flatnonzero(world.contact_of == number):
+    for ball in np.flatnonzero(scene.contact_of == number):
         turn = state.geom_xmat[board].reshape(3, 3)
         local = turn.T @ (state.geom_xpos[ball] - state.geom_xpos[board])
-        assert (world.compiled.geom_size[board][:2] - np.abs(local[:2]) > 0.05 * world.place.reach).all()
+        assert (scene.compiled.geom_size[board][:2] - np.abs(local[:2]) > 0.05 * scene.place.reach).all()

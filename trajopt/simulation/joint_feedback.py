@@ -1,4 +1,8 @@
-"""Gains of joint feedback along a plan, from its inertias and from the weight that its legs hold up.
+"""Joint feedback along a plan, with gains from its inertias and from the weight that its legs hold up.
+
+With the plan's q and v at the start of a period and its torque at mid-period, the torques of the period are
+
+    tau = tau_plan + K_p (q_plan - q) + K_d (v_plan - v)
 
 With the feedback rate w, the robot's weight times its reach m g l, and n contacts on the ground,
 
@@ -13,18 +17,17 @@ leg, dampers and springs are weakened: the joints of a late foot are as free as 
 
 import copy
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+import pinocchio as pin
 
 from trajopt.control.reference import ReferenceTrajectory
-from trajopt.dynamics.base_joint import base_of
-from trajopt.motion.carried import carrying_model
 from trajopt.motion.cycles import moving_rows
 from trajopt.robot.mujoco_package import mujoco_package
 from trajopt.simulation.bodies import write_inertias
+from trajopt.simulation.scene import Scene
 from trajopt.simulation.settings import FEEDBACK_TIME, SimulationSettings
-from trajopt.simulation.world import World
-from trajopt.solution.solution import Solution
 
 # Gains are recomputed after this many periods of the controller, and held in between.
 EVERY = 5
@@ -36,41 +39,65 @@ STIFFER = 4.0
 
 @dataclass(frozen=True, kw_only=True)
 class Gains:
-    """Feedback gains of the actuated rows in n periods, (n, nu); ``rate``: 1/s, of unloaded joints."""
+    """Stiffness and damping (n, nu) of the actuated rows in n periods."""
 
     kp: np.ndarray
     kd: np.ndarray
-    rate: float
 
 
-def gains_of(
-    plan: Solution, world: World, reference: ReferenceTrajectory, settings: SimulationSettings
-) -> Gains:
+class JointFeedback:
+    """The controller of the module; each joint has its own feedback.
+
+    Args:
+        scene: the scene, without whose inertias there are no gains.
+        reference: the plan.
+        settings: factors on the gains.
+    """
+
+    def __init__(self, scene: Scene, reference: ReferenceTrajectory, settings: SimulationSettings) -> None:
+        self._scene, self._reference, self._settings = scene, reference, settings
+        self._rows = scene.robot.actuated_rows
+
+    @cached_property
+    def gains(self) -> Gains:
+        """Gains for every period."""
+        return gains_of(self._scene, self._reference, self._settings)
+
+    def torque(self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray) -> np.ndarray:
+        """Torques (nu,) at ``t`` s, see `TorqueController`."""
+        k, reference, rows = round(t / self._reference.period), self._reference, self._rows
+        error = pin.difference(self._scene.robot.model, q, reference.q[k])[rows]
+        torque = reference.torque[k].copy()
+        torque[: len(rows)] += self.gains.kp[k] * error + self.gains.kd[k] * (reference.v[k] - v)[rows]
+        return torque
+
+
+def gains_of(scene: Scene, reference: ReferenceTrajectory, settings: SimulationSettings) -> Gains:
     """Gains for every period of a reference."""
     picked = np.arange(0, len(reference.t), EVERY)
-    rows = world.coordinates.rows[plan.actuated_rows]
-    matrices = _inertias(plan, world, reference, picked)
+    rows = scene.rows
+    matrices = _inertias(scene, reference, picked)
     inertia = np.diagonal(matrices, axis1=1, axis2=2)[:, rows]
-    rate = 1.0 / (FEEDBACK_TIME * world.units.time)
-    kp = np.maximum(rate**2 * inertia, _holding(plan, world, reference.active[picked]))
+    rate = 1.0 / (FEEDBACK_TIME * scene.units.time)
+    kp = np.maximum(rate**2 * inertia, _holding(scene, reference.active[picked]))
     kd = 2 * np.sqrt(kp * inertia)
     response = np.linalg.inv(matrices)[:, rows[:, None], rows] * kd[:, None, :] * reference.period
     fastest = np.abs(np.linalg.eigvals(response)).max(axis=1, initial=0.0)
     weaker = np.minimum(1.0, FASTEST / np.maximum(fastest, FASTEST))[:, None]
     spread = np.arange(len(reference.t)) // EVERY
-    return Gains(kp=settings.kp * (weaker * kp)[spread], kd=settings.kd * (weaker * kd)[spread], rate=rate)
+    return Gains(kp=settings.kp * (weaker * kp)[spread], kd=settings.kd * (weaker * kd)[spread])
 
 
-def _inertias(plan: Solution, world: World, reference: ReferenceTrajectory, picked: np.ndarray) -> np.ndarray:
+def _inertias(scene: Scene, reference: ReferenceTrajectory, picked: np.ndarray) -> np.ndarray:
     """Mass matrices (n, nv, nv) of the picked periods, with payloads, in MuJoCo's coordinates."""
-    mujoco, model = mujoco_package(), copy.copy(world.compiled)
+    mujoco, model = mujoco_package(), copy.copy(scene.compiled)
     data, matrices = mujoco.MjData(model), np.zeros((len(picked), model.nv, model.nv))
     phases, carried = reference.source[picked], -1
     for qpos, phase, matrix in zip(
-        world.coordinates.to_mujoco(reference.q[picked]), phases, matrices, strict=True
+        scene.coordinates.to_mujoco(reference.q[picked]), phases, matrices, strict=True
     ):
         if phase != carried:  # the masses of the plan: the feedback does not know others
-            write_inertias(model, carrying_model(plan, int(phase)))
+            write_inertias(model, scene.site.models[int(phase)])
             carried = phase
         data.qpos[:] = qpos
         mujoco.mj_kinematics(model, data)
@@ -80,17 +107,18 @@ def _inertias(plan: Solution, world: World, reference: ReferenceTrajectory, pick
     return matrices
 
 
-def _holding(plan: Solution, world: World, active: np.ndarray) -> np.ndarray:
+def _holding(scene: Scene, active: np.ndarray) -> np.ndarray:
     """Stiffness (n, nu) with which legs hold up the body, for active contacts (n, nc); zero elsewhere."""
-    holding = np.zeros((len(active), len(plan.actuated_rows)))
-    if base_of(plan.model) == "fixed":
+    robot, units = scene.robot, scene.units
+    actuated = robot.actuated_rows
+    holding = np.zeros((len(active), len(actuated)))
+    if robot.base == "fixed":
         return holding
     standing = np.maximum(active.sum(axis=1), 1)
-    units, actuated = world.units, plan.actuated_rows
-    force = units.generalized_force(plan.model)[actuated]
+    force = units.generalized_force(robot.model)[actuated]
     stiffness = STIFFER * np.where(force == units.weight, force / units.length, force)  # N/m, or N m
-    for contact, frame in enumerate(plan.contact_frames):
-        moved = np.flatnonzero(np.isin(actuated, list(moving_rows(plan.model, frame))))
+    for contact, frame in enumerate(robot.description.frames):
+        moved = np.flatnonzero(np.isin(actuated, list(moving_rows(robot.model, frame))))
         held = np.where(active[:, contact, None], stiffness[moved] / standing[:, None], 0.0)
         holding[:, moved] = np.maximum(holding[:, moved], held)
     return holding
