@@ -6,11 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
-from trajopt.motion import integral
+from trajopt.motion import Solution, integral
 from trajopt.problem import Problem, PublishedOptimum
 from trajopt.robot import Drive, Robot
 from trajopt.schedule import Phase, Schedule
-from trajopt.solution import Solution
 from trajopt.terms import (
     MotorTorqueCost,
     PositionLimits,

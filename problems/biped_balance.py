@@ -9,8 +9,8 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.dynamics import contact_jacobian, gravity_of
-from trajopt.guesses import legged_guess
 from trajopt.problem import Family, Problem
+from trajopt.reduced import legged_guess
 from trajopt.robot import Robot, Units, biped_legs
 from trajopt.schedule import Phase, Schedule
 from trajopt.terrain import FlatGround

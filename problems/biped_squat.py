@@ -1,7 +1,7 @@
 """A biped squats: down on both feet and up again, from rest to rest."""
 
-from trajopt.guesses import legged_guess
 from trajopt.problem import Family, Problem
+from trajopt.reduced import legged_guess
 from trajopt.robot import Units
 from trajopt.schedule import Phase, Schedule, middle_of
 from trajopt.terms import FrameHeight

@@ -3,8 +3,8 @@
 import numpy as np
 
 from trajopt.errors import InputError
-from trajopt.guesses import BaseWaypoint, legged_guess
 from trajopt.problem import Family, Problem
+from trajopt.reduced import BaseWaypoint, legged_guess
 from trajopt.robot import Robot, Units, biped_legs, contact_positions
 from trajopt.terrain import PiecewiseTerrain, swing_path
 

@@ -77,7 +77,7 @@ def build(
         settle_time=values["settle"],
     )
     plan = walk.plan(body)
-    from trajopt.guesses import guess_from_lip  # slow; not needed to list problems
+    from trajopt.reduced import guess_from_lip  # slow; not needed to list problems
 
     guess = guess_from_lip(body, plan, clearance=GUESS_SWING * values["clearance"])
     intervals = common.intervals(INTERVALS_PER_SECOND * plan.duration / math.sqrt(scale))

@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from trajopt.errors import InputError
-from trajopt.guesses import BaseWaypoint
+from trajopt.reduced import BaseWaypoint
 from trajopt.robot import Robot, biped_legs, contact_positions, legs_only, require_soles
 from trajopt.schedule import Schedule, footholds_at
 from trajopt_library import robots

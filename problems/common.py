@@ -10,8 +10,8 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.errors import InputError
-from trajopt.guesses import hermite as hermite
 from trajopt.problem import Choice, Parameter, Problem
+from trajopt.reduced import hermite as hermite
 from trajopt.robot import Robot, quadruped_legs
 from trajopt.schedule import Motion, Phase, Schedule
 from trajopt.terms import (

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from trajopt.dynamics import gravity_of
-from trajopt.guesses import Pace, commanded_motion, plan_of_cycle
 from trajopt.problem import Parameter, Problem
+from trajopt.reduced import Pace, commanded_motion, plan_of_cycle
 from trajopt.robot import EDGES, Robot, edge_contacts, with_edges
 from trajopt.schedule import Gait, Motion, Schedule, rolled, stride_period
 from trajopt.terms import REST, Term, TrackingCost, goal_terms, swing_arcs

@@ -11,8 +11,8 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.dynamics import gravity_of
-from trajopt.guesses import BaseWaypoint, legged_guess
 from trajopt.problem import Problem
+from trajopt.reduced import BaseWaypoint, legged_guess
 from trajopt.robot import Robot, contact_positions, frame_pose, leg_joints
 from trajopt.schedule import footholds_at
 from trajopt.terms import FramesAbove, Term, effort_costs, goal_terms

@@ -13,8 +13,8 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.dynamics import gravity_of
-from trajopt.guesses import BaseWaypoint, legged_guess
 from trajopt.problem import Family, Problem
+from trajopt.reduced import BaseWaypoint, legged_guess
 from trajopt.robot import Robot, Units, contact_positions, quadruped_legs
 from trajopt.schedule import Moment, Schedule, footholds_at, middle_of
 from trajopt.terms import FrameDirection, Term

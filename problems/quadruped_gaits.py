@@ -8,8 +8,8 @@ from functools import partial
 from typing import Any
 
 from trajopt.errors import InputError
-from trajopt.guesses import Pace, commanded_motion
 from trajopt.problem import Family, Periodicity, Problem
+from trajopt.reduced import Pace, commanded_motion
 from trajopt.robot import Robot, quadruped_legs
 from trajopt.schedule import QUADRUPED, gait_of
 from trajopt_library import robots

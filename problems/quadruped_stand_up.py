@@ -3,8 +3,8 @@
 import numpy as np
 
 from trajopt.errors import InputError
-from trajopt.guesses import BaseWaypoint, legged_guess
 from trajopt.problem import Family, Problem
+from trajopt.reduced import BaseWaypoint, legged_guess
 from trajopt.robot import Robot, Units, frame_pose
 from trajopt.schedule import Phase, Schedule
 from trajopt.terms import TimeCost

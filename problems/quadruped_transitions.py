@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from trajopt.guesses import GaitPlan, Pace, plan_of_part
 from trajopt.problem import Choice, Family, Problem
+from trajopt.reduced import GaitPlan, Pace, plan_of_part
 from trajopt.robot import Robot
 from trajopt.schedule import QUADRUPED, Phase, Schedule, gait_of, transition
 from trajopt.terms import TerminalRest, TerminalState, TerminalVelocity, swing_arcs

@@ -6,8 +6,8 @@ import numpy as np
 
 from trajopt.dynamics import STANDARD_GRAVITY
 from trajopt.errors import InputError
-from trajopt.guesses import BaseWaypoint, WaypointPath, legged_guess
 from trajopt.problem import Family, Problem
+from trajopt.reduced import BaseWaypoint, WaypointPath, legged_guess
 from trajopt.robot import Robot
 from trajopt.schedule import Schedule, footholds_at, middle_of
 from trajopt.terms import DriveLimits, FrameHeight, ImpulseCost, Term

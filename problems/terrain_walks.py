@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from trajopt.errors import InputError
-from trajopt.guesses import Pace, plan_over_terrain
 from trajopt.problem import Choice, Parameter, Problem
+from trajopt.reduced import Pace, plan_over_terrain
 from trajopt.robot import Robot, contact_positions
 from trajopt.schedule import Schedule, gait_of, transition
 from trajopt.terms import Term, effort_costs, swing_arcs

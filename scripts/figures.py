@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import trajopt
-from trajopt.solution import Solution
+from trajopt.motion import Solution
 from trajopt.transcription import transcribe
 from trajopt.transcription.compilation import compile_points, entry_key
 from trajopt.transcription.nlp import assemble

@@ -25,8 +25,8 @@ from scripts import gallery_videos
 from scripts.gallery_videos import Video
 from trajopt.dynamics.base_joint import base_of
 from trajopt.errors import InputError, TrajoptError
+from trajopt.motion.solution import Solution
 from trajopt.problem.catalogue import families
-from trajopt.solution.solution import Solution
 from trajopt.solving.ladder import total_effort
 from trajopt.view.replay.browser import Chromium, chromium
 from trajopt.view.replay.show import replay

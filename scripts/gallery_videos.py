@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from trajopt.motion.arrays import REQUESTS, SAMPLED
+from trajopt.motion.solution import Solution
 from trajopt.problem.catalogue import families
 from trajopt.simulation.simulate import simulate
-from trajopt.solution.arrays import REQUESTS, SAMPLED
-from trajopt.solution.solution import Solution
 from trajopt.view.replay.browser import Chromium
 from trajopt.view.replay.show import replay
 

@@ -5,7 +5,7 @@ import pinocchio as pin
 
 import trajopt
 from trajopt import Phase, Problem, Schedule, terms
-from trajopt.guesses import BaseWaypoint, legged_guess
+from trajopt.reduced import BaseWaypoint, legged_guess
 from trajopt.schedule import footholds_at
 from trajopt.terrain import PiecewiseTerrain
 

@@ -9,13 +9,13 @@ import numpy as np
 
 import trajopt
 from scripts.measure.shared import head, named, row
-from trajopt.discovery import Destination, Discovery, discover, task_to
-from trajopt.discovery.goal import obstacle
-from trajopt.discovery.proposals import nearest_gait
-from trajopt.discovery.trials import spent
 from trajopt.dynamics import gravity_of
 from trajopt.errors import InputError
 from trajopt.motion.energy_use import cost_of_transport
+from trajopt.study.discovery import Destination, Discovery, discover, task_to
+from trajopt.study.discovery.goal import obstacle
+from trajopt.study.discovery.proposals import nearest_gait
+from trajopt.study.discovery.trials import spent
 from trajopt_library import problems, robots
 
 SPEEDS = (0.2, 0.5, 0.8, 1.2)

@@ -6,7 +6,7 @@ import click
 
 import trajopt
 from scripts.measure.shared import head, named, row
-from trajopt.solution.solution import Solution
+from trajopt.motion.solution import Solution
 from trajopt.solving.graded import MOST_ROUNDS, solve_graded
 from trajopt_library import problems
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from scripts.measure.shared import NOISE, head, median, row, solver_option, timed
 from trajopt import Problem, solve
-from trajopt.guesses.body_guess import DEFAULT_CLEARANCE, guess_from_lip, guess_from_srb
 from trajopt.problem.contact_motion import ContactMotion
+from trajopt.reduced.body_guess import DEFAULT_CLEARANCE, guess_from_lip, guess_from_srb
 from trajopt.reduced.footsteps import feet_of
 from trajopt.reduced.single_rigid_body import body_problem, footholds_of
 from trajopt.solvers.result import StoppingCriteria

@@ -8,7 +8,7 @@ import trajopt
 from scripts.measure.shared import PASSES, head, row, verdict
 from trajopt.errors import TrajoptError
 from trajopt.motion.energy_use import cost_of_transport
-from trajopt.solution.solution import Solution
+from trajopt.motion.solution import Solution
 from trajopt_library import problems
 from trajopt_library.problems import biped_gait, bipeds
 

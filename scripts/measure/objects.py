@@ -6,8 +6,8 @@ import numpy as np
 from scripts.measure.object_check import Judge
 from scripts.measure.object_motions import OUT, Plan, Scene, Task
 from scripts.measure.shared import head, median, row
-from trajopt.discovery.modes import LOADED
-from trajopt.discovery.relaxation import SLACKS
+from trajopt.study.discovery.modes import LOADED
+from trajopt.study.discovery.relaxation import SLACKS
 
 TASKS = {
     "lift": lambda arm: Scene(arm, sides=(-1, 1), goal=(0, 0, 0.3), lifted=True),

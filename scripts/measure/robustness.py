@@ -8,10 +8,10 @@ import click
 
 import trajopt
 from scripts.measure.shared import head, row
+from trajopt.motion.solution import Solution
 from trajopt.simulation.report import SimulationReport
 from trajopt.simulation.settings import Controller
 from trajopt.simulation.simulate import simulate
-from trajopt.solution.solution import Solution
 
 ROBOTS = ("solo12", "go2", "anymal_c")
 # Plans and their cycles.

@@ -9,12 +9,12 @@ import pinocchio as pin
 
 from scripts.measure.shared import head, row, solver_option, verdict
 from trajopt import Contact, Phase, Problem, Robot, Schedule, check, solve
+from trajopt.reduced.scenes import smallest
+from trajopt.reduced.scenes.goals import scene
+from trajopt.reduced.scenes.smallest_scene import Scene
 from trajopt.robot.building import reference_posture
 from trajopt.robot.data import VisualSource, package_directories, robot_file
 from trajopt.robot.reading import read_urdf
-from trajopt.scenes import smallest
-from trajopt.scenes.goals import scene
-from trajopt.scenes.smallest_scene import Scene
 from trajopt_library import problems, robots
 from trajopt_library.robots import talos
 

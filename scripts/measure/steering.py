@@ -8,19 +8,11 @@ import click
 import numpy as np
 
 from scripts.measure.shared import head, row
+from trajopt.control.mpc import Command, CommandScript, Controller, ControllerSettings, PlannerSettings
 from trajopt.dynamics import gravity_of
-from trajopt.mpc import (
-    Command,
-    CommandScript,
-    Controller,
-    ControllerSettings,
-    DrivenMotion,
-    PlannerSettings,
-    drive,
-)
 from trajopt.robot import Robot
 from trajopt.robot.natural_units import NaturalUnits
-from trajopt.simulation import Impulse
+from trajopt.simulation import DrivenMotion, Impulse, drive
 from trajopt_library import robots
 
 QUADRUPEDS, BIPEDS = ("go2", "solo12", "anymal_c"), ("g1", "talos")

@@ -7,7 +7,7 @@ import pinocchio as pin
 from scripts.measure.shared import head, row
 from scripts.measure.steering import seeds_option
 from trajopt.collision import CapsuleObstacle
-from trajopt.mpc import ArmController, ToolTarget
+from trajopt.control.mpc import ArmController, ToolTarget
 from trajopt.robot import Robot, frame_pose
 from trajopt_library import robots
 

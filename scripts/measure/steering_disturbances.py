@@ -20,9 +20,10 @@ from scripts.measure.steering import (
     seeds_option,
     straight,
 )
+from trajopt.control.mpc import Controller, ControllerSettings, PlannerSettings, boxes_ahead, slope_ahead
+from trajopt.control.mpc.payload import carrying, payload_numbers
 from trajopt.dynamics import gravity_of
-from trajopt.mpc import Controller, ControllerSettings, PlannerSettings, boxes_ahead, drive, slope_ahead
-from trajopt.mpc.payload import carrying, payload_numbers
+from trajopt.simulation import drive
 from trajopt_library import robots
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import trajopt
 from scripts.measure.shared import head, row
 from scripts.measure.steering import impulse
-from trajopt.mpc import ReplanningController
+from trajopt.control.mpc import ReplanningController
 
 # Finite motions: families and robots.
 MOTIONS = (

@@ -10,9 +10,9 @@ import pinocchio as pin
 
 from scripts.peers.objective import EndCost, LandedAtEnd, StateCost
 from scripts.peers.tasks import ANYMAL_FEET, Gait, Jump, Task
-from trajopt.guesses.base_path import BaseWaypoint
-from trajopt.guesses.legged import legged_guess
 from trajopt.problem import Problem
+from trajopt.reduced.base_path import BaseWaypoint
+from trajopt.reduced.legged import legged_guess
 from trajopt.robot import Contact, Robot
 from trajopt.robot.kinematics import contact_positions
 from trajopt.schedule import Phase, Schedule, middle_of

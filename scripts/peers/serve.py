@@ -18,8 +18,8 @@ from scripts.peers.halves import answer
 from scripts.peers.tasks import TASKS
 from trajopt.certify.reintegration import integrated_states
 from trajopt.motion.quantities import MotionQuantities
+from trajopt.motion.solution import Solution
 from trajopt.problem import Problem
-from trajopt.solution.solution import Solution
 from trajopt.solvers.ipopt import LINEAR_SOLVER
 from trajopt.solving.solving import PreparedProblem, prepare, solve_prepared
 

@@ -7,7 +7,7 @@ from functools import cache
 from pathlib import Path
 from typing import TypeVar
 
-from trajopt.solution.output import replacing
+from trajopt.motion.output import replacing
 
 T = TypeVar("T")
 ROOT = Path(__file__).parents[2]

@@ -24,12 +24,12 @@ from trajopt.certify.accuracy.table import accuracy_table
 from trajopt.certify.contact.impact import impact
 from trajopt.certify.reintegration import active_contacts
 from trajopt.errors import InputError, SolutionFileError
+from trajopt.motion.description import CarriedBody, PlannedContact
 from trajopt.motion.quantities import MotionQuantities
+from trajopt.motion.solution import Solution
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.robot.payload import loaded_model
 from trajopt.robot.robot import Robot
-from trajopt.solution.description import CarriedBody, PlannedContact
-from trajopt.solution.solution import Solution
 from trajopt.transcription.mesh import Mesh, PhaseMesh
 from trajopt_library import problems, robots
 

@@ -12,8 +12,8 @@ from tests.support.synthetic_motions import planar_flight, pushing_off, sampled,
 from trajopt.certify.check import check
 from trajopt.certify.report import FIGURES, OPEN_LOOP, Tolerances
 from trajopt.errors import InputError, SolutionFileError
+from trajopt.motion.solution import Solution
 from trajopt.robot.robot import Robot
-from trajopt.solution.solution import Solution
 from trajopt_library import robots
 
 INTERVALS = 20

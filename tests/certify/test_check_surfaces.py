@@ -14,9 +14,9 @@ from tests.support.synthetic_motions import Motion, sampled, with_meta
 from trajopt.certify.check import check
 from trajopt.certify.report import Tolerances
 from trajopt.errors import InputError, SolutionFileError
+from trajopt.motion.solution import Solution
 from trajopt.robot.contact import Contact
 from trajopt.robot.robot import Robot
-from trajopt.solution.solution import Solution
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.surface import Surface
 from trajopt_library import problems

@@ -24,7 +24,7 @@ from trajopt.certify.report import Tolerances
 from trajopt.certify.runge_kutta import METHOD, integrate
 from trajopt.motion.quantities import MotionQuantities
 from trajopt.motion.resampling import resampled
-from trajopt.solution.solution import Solution
+from trajopt.motion.solution import Solution
 from trajopt.solving.graded import solve
 from trajopt_library import problems, robots
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from tests.support.command_lines import assert_refused, invoke
+from trajopt.motion.solution import Solution
 from trajopt.schedule import Schedule
-from trajopt.solution.solution import Solution
 
 pytestmark = pytest.mark.long
 

@@ -11,7 +11,7 @@ from tests.support.command_lines import assert_refused, invoke
 from tests.support.sampled_problems import solution_of_kind
 from tests.support.synthetic_motions import with_meta
 from trajopt.export.formats import FORMATS
-from trajopt.solution.solution import Solution
+from trajopt.motion.solution import Solution
 
 
 @pytest.fixture

@@ -9,8 +9,8 @@ from click.testing import Result
 from tests.support.command_lines import assert_refused, invoke
 from tests.support.problems import one_joint_arm
 from tests.support.synthetic_motions import arm_motion, sampled, with_meta
+from trajopt.motion.solution import Solution
 from trajopt.problem.catalogue import families
-from trajopt.solution.solution import Solution
 
 # Of 12 intervals 4, 3 and 5 in stance, flight and landing; a whole node has 37 entries, a half 18, a point 18
 # or 9 accelerations and on four or two feet 12 or 6 forces.

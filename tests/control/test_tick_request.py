@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 
 from tests.support.synthetic_motions import sampled, standing
 from trajopt.control import Tracker
-from trajopt.solution.solution import Solution
+from trajopt.motion.solution import Solution
 from trajopt_library import robots
 
 RATE, WEIGHT = 1000.0, 1e-3

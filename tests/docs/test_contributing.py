@@ -14,7 +14,7 @@ from tests.support.problems import reach
 from tests.support.repository import ROOT
 from tests.support.tumbling import errors_at_the_end, slope
 from trajopt.errors import InputError
-from trajopt.solution.grid import mesh_of
+from trajopt.motion.grid import mesh_of
 from trajopt.solvers.drivers import SOLVERS, Solver
 from trajopt.solving.solving import solve
 from trajopt.transcription.schemes import FAMILIES, scheme

@@ -14,8 +14,8 @@ from tests.support.browser import require_chromium
 from tests.support.problems import hop
 from tests.support.repository import ROOT
 from trajopt.errors import InputError
-from trajopt.solution.description import PeriodicImage
-from trajopt.solution.solution import Solution
+from trajopt.motion.description import PeriodicImage
+from trajopt.motion.solution import Solution
 from trajopt_library import problems
 
 GALLERY = ROOT / "docs" / "gallery"

@@ -15,8 +15,8 @@ from tests.support.browser import require_chromium, running_chromium
 from tests.support.repository import ROOT
 from tests.support.solved_problems import motion
 from trajopt.errors import InputError
+from trajopt.motion.solution import Solution
 from trajopt.simulation.simulate import simulate
-from trajopt.solution.solution import Solution
 
 GALLERY = ROOT / "docs" / "gallery"
 # Grey values of two pictures differ by more than this where the robot moved.

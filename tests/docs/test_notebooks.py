@@ -16,7 +16,7 @@ from tests.support.browser import require_chromium
 from tests.support.problems import reach
 from tests.support.repository import ROOT
 from trajopt.errors import InputError
-from trajopt.solution.solution import Solution
+from trajopt.motion.solution import Solution
 from trajopt.view.notebook import plots, show
 from trajopt.view.replay.browser import FLAGS
 

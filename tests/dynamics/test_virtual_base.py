@@ -23,6 +23,7 @@ from trajopt.dynamics.virtual_base import (
     virtual_model,
 )
 from trajopt.errors import InputError
+from trajopt.motion.solution import Solution
 from trajopt.problem.problem import Problem
 from trajopt.reduced.base_conversion import BaseAccelerationCost, with_virtual_base
 from trajopt.robot.actuators.drive import Drive
@@ -30,7 +31,6 @@ from trajopt.robot.data import robot_file
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.schedule.schedule import Schedule
-from trajopt.solution.solution import Solution
 from trajopt.terms import AccelerationCost, PostureCost, TerminalRest, TerminalState, VelocityCost
 from trajopt.transcription.transcription import transcribe
 from trajopt.view.replay.commands import Recorder

@@ -16,7 +16,7 @@ import trajopt
 from tests.support.exported_plans import SINGLE, place_of, plan_to_export, rotation_of
 from tests.support.refusals import assert_refused_in_one_line
 from trajopt.export.writing import export_motion
-from trajopt.solution.solution import Solution
+from trajopt.motion.solution import Solution
 
 pytestmark = pytest.mark.long
 

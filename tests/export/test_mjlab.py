@@ -19,7 +19,7 @@ from tests.support.exported_plans import (
 )
 from tests.support.refusals import assert_refused_in_one_line
 from trajopt.export.writing import export_motion
-from trajopt.solution.solution import Solution
+from trajopt.motion.solution import Solution
 
 pytestmark = pytest.mark.long
 

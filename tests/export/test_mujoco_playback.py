@@ -15,7 +15,7 @@ from tests.support.exported_plans import ROUNDING, place_of, plan_to_export, rot
 from tests.support.refusals import assert_refused_in_one_line
 from tests.support.sampled_problems import solution_of_kind
 from trajopt.export.writing import export_motion
-from trajopt.solution.solution import Solution
+from trajopt.motion.solution import Solution
 
 pytestmark = pytest.mark.long
 

@@ -16,7 +16,7 @@ from rosbags.interfaces import QosDurability
 from tests.support.exported_plans import ROUNDING, place_of, plan_to_export, swinging_arm, swinging_quadruped
 from tests.support.refusals import assert_refused_in_one_line
 from trajopt.export.writing import export_motion
-from trajopt.solution.solution import Solution
+from trajopt.motion.solution import Solution
 
 pytestmark = pytest.mark.long
 

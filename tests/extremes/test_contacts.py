@@ -10,7 +10,6 @@ from numpy.testing import assert_allclose
 from tests.extremes.moves import legged, stance, steps, with_joints
 from tests.extremes.outcomes import Failed, Refused, Solved, assert_outcome, in_process
 from tests.support.problems import hopper
-from trajopt.diagnosis.diagnose import diagnose
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.problem.problem import Problem
 from trajopt.robot.contact import Contact
@@ -20,6 +19,7 @@ from trajopt.schedule.placing import footholds_at
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.solvers.drivers import SOLVERS
 from trajopt.solvers.status import Status
+from trajopt.solving.diagnosis.diagnose import diagnose
 from trajopt.terms import (
     AccelerationCost,
     FrictionPyramid,

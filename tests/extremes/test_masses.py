@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from tests.extremes.changed_robots import longer, made, robot_file, with_gravity
 from tests.extremes.motions import stand, turn_over
 from tests.extremes.outcomes import Failed, Refused, Solved, assert_outcome
-from trajopt.solution.solution import Solution
+from trajopt.motion.solution import Solution
 from trajopt.solvers.status import Status
 from trajopt_library import problems, robots
 

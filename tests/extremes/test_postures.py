@@ -7,11 +7,11 @@ import pytest
 
 from tests.extremes.moves import lowered, pose_goal, reach, stance, with_joints
 from tests.extremes.outcomes import Failed, Solved, assert_outcome, in_process
-from trajopt.diagnosis.diagnose import diagnose
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.robot import Robot
 from trajopt.solvers.status import Status
+from trajopt.solving.diagnosis.diagnose import diagnose
 from trajopt.solving.solving import solve
 from trajopt_library import robots
 

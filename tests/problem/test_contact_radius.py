@@ -12,13 +12,13 @@ from tests.support.problems import FOOT, hop, hopper
 from tests.support.synthetic_motions import with_meta
 from trajopt.certify.check import check
 from trajopt.errors import InputError
+from trajopt.motion.solution import Solution
 from trajopt.problem.problem import Problem
 from trajopt.robot.contact import Contact
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.robot import Robot
 from trajopt.schedule.placing import footholds_at, placed_on
 from trajopt.schedule.schedule import Phase, Schedule
-from trajopt.solution.solution import Solution
 from trajopt.solving.solving import prepare, solve
 from trajopt.terms import SwingClearance
 from trajopt.terrain.flat import FlatGround

@@ -14,12 +14,12 @@ from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError
 from trajopt.motion.configurations import SolutionMotion
 from trajopt.motion.cycles import periodic_image
+from trajopt.motion.description import PeriodicImage
 from trajopt.problem.periodicity import Periodicity, closing_map, landing_at_start
 from trajopt.problem.problem import Problem
 from trajopt.robot.kinematics import contact_positions, inverse_kinematics
 from trajopt.robot.mirror import find_mirror, mirrored_configuration
 from trajopt.schedule.schedule import Phase, Schedule
-from trajopt.solution.description import PeriodicImage
 from trajopt.terms import (
     AccelerationCost,
     FrictionPyramid,

@@ -17,9 +17,9 @@ from trajopt.certify.check import check
 from trajopt.certify.contact.contact_dynamics import ContactDynamics, forward_dynamics
 from trajopt.certify.contact.contact_set import ContactSet, contact_kinematics
 from trajopt.certify.contact.impact import impact
-from trajopt.diagnosis.diagnose import diagnose
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError, SolutionFileError
+from trajopt.motion.solution import Solution
 from trajopt.problem.problem import Problem
 from trajopt.reduced.single_rigid_body import body_problem
 from trajopt.reduced.two_stage import base_rows_problem
@@ -27,7 +27,7 @@ from trajopt.reduced.wrench_distribution import redistribute_wrenches
 from trajopt.robot.contact import Contact
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.simulation.simulate import simulate
-from trajopt.solution.solution import Solution
+from trajopt.solving.diagnosis.diagnose import diagnose
 from trajopt.terrain.surface import Surface
 
 SOLVED, ROUNDING = 1e-6, 1e-9

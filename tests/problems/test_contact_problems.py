@@ -13,10 +13,10 @@ from trajopt.certify.check import check
 from trajopt.certify.report import AT_POINTS
 from trajopt.dynamics.model_quantities import contact_jacobian, gravity_of, mass_of
 from trajopt.errors import InputError
+from trajopt.motion.solution import Solution
 from trajopt.problem.problem import Problem
 from trajopt.robot import Robot, biped_legs, contact_poses
 from trajopt.robot.sole import centre_of_pressure
-from trajopt.solution.solution import Solution
 from trajopt.solving.solving import solve
 from trajopt_library import problems
 from trajopt_library.problems import bipeds

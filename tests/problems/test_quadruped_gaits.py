@@ -11,7 +11,7 @@ import trajopt
 from trajopt.certify.report import AT_POINTS
 from trajopt.dynamics.model_quantities import contact_jacobian, gravity_of
 from trajopt.errors import InputError
-from trajopt.guesses.gaits import Pace, base_pose, plan_of_cycle
+from trajopt.reduced.gaits import Pace, base_pose, plan_of_cycle
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.legs import quadruped_legs
 from trajopt.robot.mirror import find_mirror, mirrored_configuration

@@ -13,9 +13,9 @@ from tests.support.refusals import refused
 from trajopt.certify.report import AT_POINTS
 from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.errors import InputError
-from trajopt.guesses.gaits import Pace
-from trajopt.guesses.over_terrain import plan_over_terrain, standing_on
 from trajopt.problem.problem import Problem
+from trajopt.reduced.gaits import Pace
+from trajopt.reduced.over_terrain import plan_over_terrain, standing_on
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.legs import quadruped_legs
 from trajopt.schedule.gait_transitions import transition

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import nnls
 
 from trajopt.errors import InputError
-from trajopt.guesses.body_guess import DEFAULT_CLEARANCE, guess_from_lip
+from trajopt.reduced.body_guess import DEFAULT_CLEARANCE, guess_from_lip
 from trajopt.reduced.com_program import CenterOfMassProgram
 from trajopt.reduced.footsteps import Foothold, FootstepPlan, StepPhase, Walk, feet_of, support_vertices
 from trajopt.reduced.lip import Pendulum, PendulumMotion

@@ -14,8 +14,9 @@ from tests.support.problems import FOOT, hop, hopper, planar_hopper
 from trajopt.certify.report import AT_POINTS
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError
-from trajopt.guesses.body_guess import BasePath, guess_from_srb
+from trajopt.motion.solution import Solution
 from trajopt.problem.problem import Problem
+from trajopt.reduced.body_guess import BasePath, guess_from_srb
 from trajopt.reduced.footsteps import feet_of
 from trajopt.reduced.single_rigid_body import (
     BODY,
@@ -29,7 +30,6 @@ from trajopt.reduced.single_rigid_body import (
 )
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
-from trajopt.solution.solution import Solution
 from trajopt.terms import Context
 from trajopt_library import problems, robots
 from trajopt_library.problems.bipeds import biped

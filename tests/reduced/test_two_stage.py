@@ -16,6 +16,7 @@ from trajopt.certify.report import AT_POINTS
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
 from trajopt.motion.samples import sample_quantities
+from trajopt.motion.solution import Solution
 from trajopt.problem.problem import Problem
 from trajopt.reduced.two_stage import (
     base_rows_problem,
@@ -27,7 +28,6 @@ from trajopt.reduced.two_stage import (
 from trajopt.reduced.wrench_distribution import redistribute_wrenches
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.units import Units
-from trajopt.solution.solution import Solution
 from trajopt.solving.extraction import extract
 from trajopt.solving.solving import prepare
 from trajopt.terms import (

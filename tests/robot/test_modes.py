@@ -13,11 +13,11 @@ from tests.support.problems import FOOT, hop, hopper
 from trajopt.certify.report import AT_POINTS
 from trajopt.errors import InputError
 from trajopt.motion.samples import contact_places
+from trajopt.motion.solution import Solution
 from trajopt.robot.data import robot_file
 from trajopt.robot.robot import Robot
 from trajopt.robot.stance.minimal_coordinates import stance_mode
 from trajopt.schedule.schedule import Phase, Schedule
-from trajopt.solution.solution import Solution
 from trajopt.solving.solving import prepare
 from trajopt.solving.solving import solve as solve_on_mesh
 from trajopt.terms import (

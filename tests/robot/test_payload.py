@@ -15,12 +15,12 @@ from tests.support.solved_problems import motion
 from trajopt.certify.report import AT_POINTS, RESIDUAL
 from trajopt.errors import InputError
 from trajopt.motion.carried import payload_wrenches
+from trajopt.motion.solution import Solution
 from trajopt.problem.problem import Problem
 from trajopt.robot import Drive, Robot, Thruster, robot_file
 from trajopt.robot.contact import Contact
 from trajopt.robot.payload import Payload, loaded, payload_wrench
 from trajopt.schedule import Phase, Schedule
-from trajopt.solution.solution import Solution
 from trajopt.terms import TerminalRest, TerminalState, TorqueLimits, effort_costs
 from trajopt.terrain.flat import FlatGround
 from trajopt_library import robots

@@ -15,13 +15,13 @@ from tests.support.models import JOINT_KINDS, hand_built, random_state
 from tests.support.refusals import assert_refused_in_one_line
 from tests.support.sampled_problems import solution_of_kind
 from tests.support.synthetic_motions import Motion, sampled
+from trajopt.motion.solution import Solution
 from trajopt.robot.robot import Robot
 from trajopt.simulation import write_mjcf
 from trajopt.simulation.mjcf import mjcf_of
 from trajopt.simulation.scene import Scene, build_scene
 from trajopt.simulation.settings import SimulationSettings
 from trajopt.simulation.site import Site
-from trajopt.solution.solution import Solution
 
 pytestmark = pytest.mark.long
 

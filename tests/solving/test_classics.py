@@ -16,10 +16,10 @@ from trajopt.certify.report import AT_POINTS
 from trajopt.collision import BoxObstacle
 from trajopt.errors import InputError, SolutionFileError
 from trajopt.motion.energy_use import cost_of_transport
+from trajopt.motion.solution import Solution
 from trajopt.problem.problem import Problem
 from trajopt.robot import Robot
 from trajopt.robot.kinematics import contact_positions
-from trajopt.solution.solution import Solution
 from trajopt.solving.solving import solve
 from trajopt.terms import Clearance, Cost, TorqueCost
 from trajopt_library import problems, robots

@@ -12,10 +12,10 @@ from tests.support.swings import BALL, END, FAR, MARGIN, POLE, START, avoided, p
 from trajopt.certify.check import check
 from trajopt.errors import InputError
 from trajopt.motion.configurations import SolutionMotion
+from trajopt.motion.solution import Solution
 from trajopt.problem import PosturePath
 from trajopt.problem.problem import Problem
 from trajopt.robot.robot import Robot
-from trajopt.solution.solution import Solution
 from trajopt.solving.exchange import GAP_SLACK, Exchange
 from trajopt.solving.graded import solve as solve_graded
 from trajopt.solving.solving import solve

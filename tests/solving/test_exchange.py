@@ -12,9 +12,9 @@ from tests.support.swings import BALL, DURATION, END, FAR, MARGIN, POLE, START, 
 from trajopt.certify.report import PENETRATION
 from trajopt.collision.shapes import LinkShape, SphereObstacle
 from trajopt.motion.configurations import SolutionMotion
+from trajopt.motion.solution import Solution
 from trajopt.problem import PosturePath
 from trajopt.problem.problem import Problem
-from trajopt.solution.solution import Solution
 from trajopt.solving.exchange import GAP_SLACK, INTERVAL_LOOKS, LOOK_STEP, MOST_SLIPS, Exchange, Look, along
 from trajopt.solving.solving import prepare, solve
 from trajopt.terms import Clearance

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.support.problems import FOOT, hop, hopper, planar_hopper, reach
 from trajopt.motion.samples import sample_quantities
-from trajopt.solution.solution import Solution
+from trajopt.motion.solution import Solution
 from trajopt.solving.extraction import extract
 from trajopt.solving.solving import solve
 from trajopt.transcription.guess import initial_guess

@@ -9,8 +9,8 @@ from tests.support.swings import BALL, FAR, past, swing
 from trajopt.certify.check import examine
 from trajopt.certify.report import GRADE
 from trajopt.errors import InputError
+from trajopt.motion.grid import mesh_of
 from trajopt.problem.problem import Problem
-from trajopt.solution.grid import mesh_of
 from trajopt.solving.budget import solve_within
 from trajopt.solving.graded import first_mesh, solve_graded
 from trajopt.solving.remeshing import PhaseErrors, remeshed

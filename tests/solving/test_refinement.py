@@ -13,9 +13,9 @@ from tests.support.problems import REACH, REACH_TIME, hop, one_joint_arm, reach
 from trajopt.certify.accuracy.measures import measure
 from trajopt.certify.report import GRADE
 from trajopt.errors import InputError
+from trajopt.motion.grid import mesh_of
 from trajopt.robot.units import Units
 from trajopt.schedule.schedule import Phase, Schedule
-from trajopt.solution.grid import mesh_of
 from trajopt.solving import refinement
 from trajopt.solving.exchange import Exchange
 from trajopt.solving.graded import solve_graded, tolerance_for

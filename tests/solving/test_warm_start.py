@@ -13,9 +13,9 @@ from tests.support.problems import FOOT, REACH, REACH_TIME, SCHEME_ORDERS, hop, 
 from tests.support.solved_problems import ROUNDING, SAME_STATE, Solved, solved, solved_hop
 from trajopt.errors import InputError, SolutionFileError
 from trajopt.motion.configurations import motion_of
+from trajopt.motion.solution import Solution
 from trajopt.problem.problem import Problem
 from trajopt.schedule.schedule import Phase, Schedule
-from trajopt.solution.solution import Solution
 from trajopt.solving.extraction import extract
 from trajopt.solving.solving import prepare
 from trajopt.solving.warm_start import warm_start

@@ -357,7 +357,7 @@ def test_a_terminal_shows_what_runs_and_keeps_the_lines():
 
 UNGUARDED = """
 import trajopt
-from trajopt.discovery import discover
+from trajopt.study.discovery import discover
 from trajopt.study import batch_cases
 
 {call}

@@ -14,8 +14,8 @@ import pytest
 from tests.support.synthetic_motions import Motion, sampled
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
 from trajopt.errors import InputError
+from trajopt.motion.solution import Solution
 from trajopt.robot.robot import Robot
-from trajopt.solution.solution import Solution
 from trajopt.view.replay.browser import Chromium, OpenedPage, chromium, find_chromium
 
 # A joint swings by half of the room it has, at most by so many rad or m.

@@ -6,7 +6,7 @@ import trajopt
 from tests.support.problems import hop, lean, reach
 from tests.support.redundant_contacts import solo_hop
 from trajopt import Problem, Solution
-from trajopt.diagnosis.snapshot import Snapshot
+from trajopt.solving.diagnosis.snapshot import Snapshot
 from trajopt.solving.solving import prepare
 
 
@@ -18,7 +18,7 @@ def solved(name: str) -> tuple[Problem, Solution]:
 
 
 def snapshot_of(problem: Problem, solution: Solution) -> Snapshot:
-    from trajopt.diagnosis.diagnose import at_solution
-    from trajopt.solution.grid import mesh_of
+    from trajopt.motion.grid import mesh_of
+    from trajopt.solving.diagnosis.diagnose import at_solution
 
     return at_solution(prepare(problem, mesh=mesh_of(solution)), solution)

@@ -11,9 +11,9 @@ import trajopt
 from tests.support.sampled_problems import solution_of_kind
 from tests.support.solved_problems import motion
 from tests.support.synthetic_motions import arm_motion, sampled
+from trajopt.motion.solution import Solution
 from trajopt.robot.robot import Robot
 from trajopt.simulation.mjcf import mjcf_of
-from trajopt.solution.solution import Solution
 
 # Two ways through rigid-body kinematics in double precision, and images of images.
 ROUNDING = 1e-9

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
+from trajopt.motion.solution import Solution
 from trajopt.problem.problem import Problem
 from trajopt.robot.robot import Robot
-from trajopt.solution.solution import Solution
 from trajopt.solving.extraction import extract
 from trajopt.solving.solving import prepare
 from trajopt.terms import Cost, NodeCost

@@ -10,8 +10,8 @@ from tests.support import synthetic_motions
 from tests.support.problems import hop
 from tests.support.synthetic_motions import arm_motion, sampled
 from trajopt import solve
+from trajopt.motion.solution import Solution
 from trajopt.schedule.schedule import Phase, Schedule
-from trajopt.solution.solution import Solution
 from trajopt.view.plotting.track import Track, tracks_of
 from trajopt.view.plotting.writing import sheet_of
 from trajopt_library import robots

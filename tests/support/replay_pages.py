@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from tests.support.page_meshes import restored
 from tests.support.synthetic_motions import Motion, sampled, standing, with_meta
+from trajopt.motion.solution import Solution
 from trajopt.robot.robot import Robot
-from trajopt.solution.solution import Solution
 from trajopt.terrain.surface import Surface
 from trajopt.view.replay.show import replay as show
 from trajopt_library import robots

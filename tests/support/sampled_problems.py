@@ -5,8 +5,8 @@ from functools import lru_cache
 import trajopt
 from tests.support.problems import hop, landing
 from tests.support.solved_problems import motion, solved, solved_hop
+from trajopt.motion.solution import Solution
 from trajopt.reduced.single_rigid_body import body_problem
-from trajopt.solution.solution import Solution
 
 # Problems of the library by what is particular about their solutions.
 LIBRARY = {

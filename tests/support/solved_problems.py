@@ -9,8 +9,8 @@ from pathlib import Path
 
 import trajopt
 from tests.support.problems import hop
+from trajopt.motion.solution import Solution
 from trajopt.problem.problem import Problem
-from trajopt.solution.solution import Solution
 from trajopt.solvers.drivers import run_solver
 from trajopt.solvers.result import Result, StoppingCriteria
 from trajopt.solving.extraction import extract

@@ -11,9 +11,9 @@ import numpy as np
 
 from tests.support.problems import hop, reach
 from trajopt.errors import InputError
+from trajopt.motion.solution import Solution
 from trajopt.problem.family import Family
 from trajopt.problem.problem import Problem
-from trajopt.solution.solution import Solution
 from trajopt.study import solves
 from trajopt.terms import AccelerationCost, TerminalState, TorqueLimits
 

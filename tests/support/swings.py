@@ -7,11 +7,11 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.collision.shapes import CapsuleObstacle, LinkShape, Obstacle, SphereObstacle
+from trajopt.motion.solution import Solution
 from trajopt.problem import PosturePath
 from trajopt.problem.problem import Problem
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Phase, Schedule
-from trajopt.solution.solution import Solution
 from trajopt.solving.graded import solve as solve_graded
 from trajopt.terms import AccelerationCost, Clearance, TerminalRest, TerminalState
 from trajopt.terrain.flat import FlatGround

@@ -8,7 +8,7 @@ import pinocchio as pin
 
 from trajopt.dynamics.manifold import Coordinates, Joint
 from trajopt.dynamics.rotations import body_rate_function
-from trajopt.solution.solution import Solution
+from trajopt.motion.solution import Solution
 
 Local = tuple[np.ndarray, np.ndarray, np.ndarray]
 

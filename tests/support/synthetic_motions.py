@@ -8,9 +8,9 @@ import numpy as np
 import pinocchio as pin
 from scipy.integrate import solve_ivp
 
+from trajopt.motion.meta import description_of, jsonable, statistics_of
+from trajopt.motion.solution import Solution
 from trajopt.robot.robot import Robot
-from trajopt.solution.meta import description_of, jsonable, statistics_of
-from trajopt.solution.solution import Solution
 
 # Gauss-Legendre points of degree two: torques linear in an interval are met exactly.
 LEGENDRE = (0.5 - np.sqrt(3) / 6, 0.5 + np.sqrt(3) / 6)

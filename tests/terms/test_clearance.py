@@ -12,7 +12,7 @@ from tests.support.synthetic_motions import with_meta
 from trajopt.certify.check import check
 from trajopt.collision.near import CollisionScene
 from trajopt.collision.shapes import LinkShape
-from trajopt.solution.solution import Solution
+from trajopt.motion.solution import Solution
 from trajopt.solving.extraction import described_bodies
 from trajopt.solving.graded import solve as solve_graded
 from trajopt.terms import Clearance

@@ -18,8 +18,8 @@ from tests.terms.term_points import Evaluated, Scale, similar
 from trajopt import terms
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
+from trajopt.motion.solution import Solution
 from trajopt.schedule import Phase, Schedule
-from trajopt.solution.solution import Solution
 from trajopt.solving.solving import solve
 from trajopt.terms import Cost, NodeConstraint, NodeCost, PointConstraint, Rows, free_directions
 from trajopt.terrain import Surface

@@ -16,11 +16,11 @@ from tests.support.synthetic_motions import with_meta
 from trajopt.errors import InputError
 from trajopt.motion.energy_use import cost_of_transport, energy
 from trajopt.problem.problem import Problem
+from trajopt.reduced.scenes.smallest_scene import smallest
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.kinematics import frame_pose
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
-from trajopt.scenes.smallest_scene import smallest
 from trajopt.schedule import Moment, end_of, middle_of
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.solving.solving import prepare, solve

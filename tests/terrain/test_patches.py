@@ -16,14 +16,14 @@ from trajopt.certify.check import check
 from trajopt.certify.report import AT_POINTS
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError, SolutionFileError
-from trajopt.guesses import BaseWaypoint, legged_guess
+from trajopt.motion import Solution
 from trajopt.problem import Problem
+from trajopt.reduced import BaseWaypoint, legged_guess
 from trajopt.robot import contact_positions, quadruped_legs
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.schedule import start_of
 from trajopt.schedule.schedule import Phase, Schedule
-from trajopt.solution import Solution
 from trajopt.solving.solving import solve
 from trajopt.terms import (
     AccelerationCost,

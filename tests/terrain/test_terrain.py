@@ -13,10 +13,10 @@ from tests.support.replay_pages import shown
 from tests.support.synthetic_motions import Motion, sampled, standing, with_meta
 from trajopt.certify.check import check
 from trajopt.errors import InputError, SolutionFileError
+from trajopt.motion.solution import Solution
 from trajopt.robot.kinematics import contact_positions
 from trajopt.schedule.placing import placed_on
 from trajopt.schedule.schedule import Phase, Schedule
-from trajopt.solution.solution import Solution
 from trajopt.solving.solving import solve
 from trajopt.terms import FrictionCone, FrictionPyramid, SwingClearance
 from trajopt.terrain.patch import Patch

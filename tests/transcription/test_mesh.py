@@ -11,9 +11,9 @@ from tests.support.problems import hop, lean
 from trajopt.certify.check import check
 from trajopt.errors import InputError
 from trajopt.motion.energy_use import energy
+from trajopt.motion.grid import interpolated, mesh_of
+from trajopt.motion.solution import Solution
 from trajopt.schedule import END, Moment, Phase, end_of, middle_of, start_of
-from trajopt.solution.grid import interpolated, mesh_of
-from trajopt.solution.solution import Solution
 from trajopt.solving.solving import prepare, solve
 from trajopt.terms import NodePlace
 from trajopt.terms.interfaces import nodes_of

@@ -11,8 +11,8 @@ from tests.support.derivatives import assert_derivatives
 from tests.support.problems import FOOT, SCHEME_ORDERS, hop, landing, reach
 from trajopt.errors import InputError
 from trajopt.motion.configurations import SolutionMotion
+from trajopt.motion.solution import Solution
 from trajopt.problem.problem import Problem
-from trajopt.solution.solution import Solution
 from trajopt.solving.solving import prepare, solve
 from trajopt.terms.moments import ForceSide, JointSide, LinkDistance, MomentConstraint, PlaneSide
 from trajopt.transcription.transcription import moments_by_stage

@@ -7,7 +7,7 @@ import pytest
 from tests.support.browser import running_chromium
 from tests.support.replay_pages import hopping
 from tests.support.synthetic_motions import with_meta
-from trajopt.solution.solution import Solution
+from trajopt.motion.solution import Solution
 from trajopt.view.replay.browser import Chromium
 
 

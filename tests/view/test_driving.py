@@ -15,11 +15,11 @@ import pytest
 from tests.support.browser import require_chromium
 from tests.support.command_lines import assert_refused, invoke
 from tests.support.processes import LIMIT, TRAJOPT, Running, until
+from trajopt.control.mpc.controller import Controller
 from trajopt.errors import InputError
-from trajopt.mpc.controller import Controller
+from trajopt.motion.solution import Solution
 from trajopt.robot.catalogue import robot
 from trajopt.robot.kinematics import frame_pose
-from trajopt.solution.solution import Solution
 from trajopt.view.driving.drawing import Painter
 from trajopt.view.driving.drivers import SLOW, ArmDriver, LegsDriver
 from trajopt.view.driving.live import LiveDrive

@@ -15,7 +15,7 @@ from tests.support.replay_pages import scene_of
 from tests.support.repository import ROOT
 from tests.support.synthetic_motions import with_meta
 from trajopt.errors import InputError
-from trajopt.solution.solution import Solution
+from trajopt.motion.solution import Solution
 from trajopt.view.replay.contacts import COLOURS
 from trajopt.view.replay.show import replay
 

@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter1d
 from tests.support.browser import until
 from tests.support.replay_pages import hopping
 from trajopt.motion.configurations import geodesic_configurations
-from trajopt.solution.solution import Solution
+from trajopt.motion.solution import Solution
 from trajopt.view.replay.browser import OpenedPage
 from trajopt.view.replay.show import replay
 

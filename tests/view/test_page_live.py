@@ -22,7 +22,7 @@ SPHERE = "trajopt.viewer.scene_tree.find(['meshcat', 'added']).object.children.l
 KILLED = """
 import sys, time
 from trajopt.view.replay.show import replay
-from trajopt.solution import Solution
+from trajopt.motion import Solution
 shown = replay(Solution.load(sys.argv[1]), open_browser=False)
 print(shown.window.server_proc.pid, flush=True)
 time.sleep(600)

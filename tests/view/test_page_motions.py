@@ -23,8 +23,8 @@ from tests.support.browser import (
 from tests.support.synthetic_motions import arm_motion, sampled
 from trajopt.errors import InputError, TrajoptError
 from trajopt.motion.configurations import geodesic_configurations
+from trajopt.motion.solution import Solution
 from trajopt.problem.catalogue import families
-from trajopt.solution.solution import Solution
 from trajopt.view.replay.browser import EXECUTABLE_VARIABLE, chromium, find_chromium, open_page
 from trajopt.view.replay.robot import joint_path
 from trajopt.view.replay.show import replay

@@ -20,8 +20,8 @@ from tests.support.browser import (
 from tests.support.page_meshes import array_of
 from tests.support.replay_pages import objects_of, scene_of
 from trajopt.motion.configurations import geodesic_configurations
+from trajopt.motion.solution import Solution
 from trajopt.robot.robot import Robot
-from trajopt.solution.solution import Solution
 from trajopt.view.replay.collada import ColladaError, read_collada
 from trajopt.view.replay.robot import joint_path
 from trajopt.view.replay.show import replay

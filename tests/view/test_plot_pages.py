@@ -19,9 +19,9 @@ from tests.support.plots import arm, drawn, jump, lines, panels, track_of
 from tests.support.problems import one_joint_arm, planar_hopper
 from tests.support.synthetic_motions import arm_motion, sampled, tumbling_flight, with_meta
 from trajopt.errors import InputError
+from trajopt.motion.solution import Solution
 from trajopt.robot.reading import read_urdf
 from trajopt.robot.robot import Robot
-from trajopt.solution.solution import Solution
 from trajopt.view.plotting import style
 from trajopt.view.plotting.joints import limbs_of
 from trajopt.view.plotting.track import Track, tracks_of

@@ -17,9 +17,9 @@ from tests.support.replay_pages import objects_of, scene_of, tracks_of
 from tests.support.synthetic_motions import Motion, arm_motion, meta_of, sampled, standing, with_meta
 from trajopt.errors import InputError
 from trajopt.motion.configurations import geodesic_configurations
+from trajopt.motion.solution import Solution
 from trajopt.robot.data import VisualSource, robot_file
 from trajopt.robot.robot import Robot
-from trajopt.solution.solution import Solution
 from trajopt.view.replay import robot as drawn_robot
 from trajopt.view.replay.collada import ColladaError
 from trajopt.view.replay.commands import ANGLE_ERROR, POSITION_ERROR

@@ -10,10 +10,10 @@ from numpy.testing import assert_allclose
 
 from tests.support.replay_pages import FLIGHT, STANCE, objects_of, on_surface, shown, tracks_of
 from tests.support.synthetic_motions import sampled, standing
+from trajopt.motion.solution import Solution
 from trajopt.robot.contact import Contact
 from trajopt.robot.data import data_share, robot_file
 from trajopt.robot.robot import Robot
-from trajopt.solution.solution import Solution
 from trajopt.terrain.surface import Surface
 from trajopt.view.replay.motion import FLASH, replay_motion
 

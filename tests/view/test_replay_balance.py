@@ -10,8 +10,8 @@ from numpy.testing import assert_allclose
 from tests.support.replay_pages import objects_of, on_surface, placements_of, shown, tracks_of
 from tests.support.synthetic_motions import arm_motion, pushing_off, sampled, standing, with_meta
 from trajopt.motion.samples import sample_quantities
+from trajopt.motion.solution import Solution
 from trajopt.robot.payload import Payload, loaded, loaded_model
-from trajopt.solution.solution import Solution
 from trajopt.terrain.surface import Surface
 from trajopt.view.replay.balance import SUPPORT_LIFT, BalanceTrack, balance_of, on_ground, outer_wrenches
 from trajopt.view.replay.motion import replay_motion

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tests.support.replay_pages import STANCE, objects_of, scene_of, shown, tracks_of
-from trajopt.solution.solution import Solution
+from trajopt.motion.solution import Solution
 from trajopt.view.replay.contacts import HEAD_LENGTH
 from trajopt.view.replay.motion import replay_motion, replay_motions
 from trajopt.view.replay.scene import build_scene

@@ -12,9 +12,9 @@ from tests.support.replay_pages import STANCE, objects_of, placements_of, scene_
 from tests.support.synthetic_motions import arm_motion, sampled, with_meta
 from trajopt.errors import InputError, SolutionFileError
 from trajopt.motion.configurations import geodesic_configurations
+from trajopt.motion.solution import Solution
 from trajopt.schedule import start_of
 from trajopt.schedule.moment import Target
-from trajopt.solution.solution import Solution
 from trajopt.terms import FramePose, TerminalState
 from trajopt.view.replay.motion import replay_motion, replay_motions
 from trajopt.view.replay.robot import joint_path

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from tests.support.replay_pages import flying, objects_of, on_surface, placements_of, shown
 from tests.support.synthetic_motions import Motion, arm_motion, sampled, with_meta
 from trajopt.errors import SolutionFileError
-from trajopt.solution.solution import Solution
+from trajopt.motion.solution import Solution
 from trajopt.terrain.patch import Patch
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.surface import Surface

@@ -25,11 +25,11 @@ from trajopt.certify.report import (
     PhaseReport,
     Tolerances,
 )
+from trajopt.motion.input import SolutionOrFile, consistent_solution
 from trajopt.motion.quantities import MotionQuantities
 from trajopt.motion.samples import largest, largest_known
+from trajopt.motion.solution import Solution
 from trajopt.motion.traces import Occurrence, Trace, Traces
-from trajopt.solution.input import SolutionOrFile, consistent_solution
-from trajopt.solution.solution import Solution
 
 # Smallest scale of angular momentum, as a fraction of m l sqrt(g l) for a robot of mass m and reach l.
 QUIET_MOMENTUM = 1e-2

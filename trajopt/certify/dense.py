@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajopt.certify.contact_figures import ContactStarts, force_traces, place_traces
+from trajopt.motion.arrays import REQUESTS, SAMPLED
 from trajopt.motion.quantities import MotionQuantities
+from trajopt.motion.solution import Solution
 from trajopt.motion.traces import Trace, Traces
-from trajopt.solution.arrays import REQUESTS, SAMPLED
-from trajopt.solution.solution import Solution
 
 # Samples nearer than this fraction of an interval are the same.
 LEAST_STEP = 1e-6

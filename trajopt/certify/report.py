@@ -5,9 +5,9 @@ from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 from trajopt.dynamics.virtual_base import LEAST_MARGIN
+from trajopt.motion.meta import jsonable
 from trajopt.motion.samples import largest_known
 from trajopt.motion.traces import Occurrence
-from trajopt.solution.meta import jsonable
 
 # Residuals and forces of inactive contacts over the weight, contact accelerations over g: what a solver with
 # tolerance 1e-6 leaves, in units of weight and length.

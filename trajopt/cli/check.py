@@ -13,8 +13,8 @@ from trajopt.cli.report import say, to_json
 from trajopt.errors import InputError, TrajoptError
 
 if TYPE_CHECKING:
+    from trajopt.motion.solution import Solution
     from trajopt.problem.problem import Problem
-    from trajopt.solution.solution import Solution
 
 
 @click.command("check")
@@ -30,7 +30,7 @@ def check_command(file: Path, accuracy: bool, reference: Path | None, as_json: b
     beyond its tolerance; the figures of --accuracy have no tolerance.
     """
     from trajopt.certify.check import check
-    from trajopt.solution.solution import Solution
+    from trajopt.motion.solution import Solution
 
     plan = Solution.load(file)
     with busy(f"checking {file}"):
@@ -63,7 +63,7 @@ def diagnose_command(
     scaling, active limits, the first value that is not finite, and constraints in conflict. Exit status 0
     whatever is found.
     """
-    from trajopt.diagnosis.diagnose import diagnose
+    from trajopt.solving.diagnosis.diagnose import diagnose
 
     if settings and problem is None:
         raise InputError("--set is given without a problem", "allowed: with --problem NAME")
@@ -80,7 +80,7 @@ diagnose_option = click.option("--diagnose", "diagnosed", is_flag=True, help="Di
 
 def diagnosis_of(solution: Solution, problem: Problem) -> tuple[dict[str, Any], str]:
     """Diagnose the result of a solve, as JSON and as text; where that fails, the reason."""
-    from trajopt.diagnosis.diagnose import diagnose
+    from trajopt.solving.diagnosis.diagnose import diagnose
 
     try:
         diagnosis = diagnose(solution, problem)

@@ -25,7 +25,7 @@ from trajopt.cli.progress import open_viewer, show_until_interrupted, watch_opti
 from trajopt.cli.report import console, plain_table, say, to_json
 from trajopt.cli.warm import cost
 from trajopt.errors import InputError, expanded
-from trajopt.solution.output import check_apart, check_output
+from trajopt.motion.output import check_apart, check_output
 
 if TYPE_CHECKING:
     from trajopt.problem.family import Family
@@ -71,9 +71,9 @@ def continue_command(
     halved. With --compare every value is also solved from its default guess, and the time saved is printed.
     Exit status 0 when every value has a motion that holds, 1 when not, 130 after Ctrl-C.
     """
+    from trajopt.motion.input import solution_of
     from trajopt.problem.catalogue import families
     from trajopt.problem.family import choose
-    from trajopt.solution.input import solution_of
     from trajopt.solving.continuation import continuation
     from trajopt.solving.time_limits import OVERHEAD_TIME
 

@@ -18,13 +18,13 @@ from trajopt.cli.input import (
 )
 from trajopt.cli.report import console, plain_table, say, to_json
 from trajopt.errors import InputError, expanded, not_among
-from trajopt.solution.output import check_output, replacing
+from trajopt.motion.output import check_output, replacing
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from trajopt.discovery.records import Candidate, Discovery
-    from trajopt.discovery.task import ContactTask
+    from trajopt.study.discovery.records import Candidate, Discovery
+    from trajopt.study.discovery.task import ContactTask
 
 SEEDS, MOST, JOBS = WholeNumber(0, 1000), WholeNumber(1, 1000), WholeNumber(1, 1024)
 GOAL, CYCLE = ("x", "y", "yaw"), ("robot", "speed")
@@ -80,8 +80,8 @@ def discover_command(
     the best. All are solved with hard contacts and free durations on a coarse mesh, the best of them until
     their motion holds at any time. Exit status 0 where one does, 1 where none does.
     """
-    from trajopt.discovery.proposals import nearest_gait
-    from trajopt.discovery.search import discover, nearest_reached
+    from trajopt.study.discovery.proposals import nearest_gait
+    from trajopt.study.discovery.search import discover, nearest_reached
 
     if resume and output_dir is None:
         raise InputError("--resume has no folder to go on with", "allowed: with --output-dir")
@@ -127,11 +127,11 @@ def _tasks(
     periodic: bool,
 ) -> Callable[[float], ContactTask]:
     """The task of a part of the way to the goal."""
-    from trajopt.discovery.goal import Destination, obstacle, task_to
-    from trajopt.discovery.task import ContactTask
     from trajopt.problem.catalogue import families
     from trajopt.problem.family import choose
     from trajopt.robot.catalogue import robot as load_robot
+    from trajopt.study.discovery.goal import Destination, obstacle, task_to
+    from trajopt.study.discovery.task import ContactTask
 
     if problem in families():
         named = {"--goal": goal, "--terrain": terrain, "--time": time, "--periodic": periodic}
@@ -174,8 +174,8 @@ def _cycle(
     name: str, settings: tuple[str, ...], span: tuple[float, float], unused: dict[str, Any]
 ) -> ContactTask:
     """A cycle of a robot, by its name or as ``--set robot=`` of a kind."""
-    from trajopt.discovery.goal import cycle_of
     from trajopt.robot.catalogue import robot as load_robot
+    from trajopt.study.discovery.goal import cycle_of
 
     for option, given in unused.items():
         if given:

@@ -21,13 +21,13 @@ from trajopt.cli.interruption import INTERRUPTION
 from trajopt.cli.progress import busy
 from trajopt.cli.report import say, to_json
 from trajopt.errors import InputError, require_positive
-from trajopt.solution.output import check_apart, check_solution_output
+from trajopt.motion.output import check_apart, check_solution_output
 
 if TYPE_CHECKING:
     from trajopt.collision import Obstacle
-    from trajopt.mpc.arm_drive import ArmDrive
-    from trajopt.mpc.lockstep import DrivenMotion
     from trajopt.robot.robot import Robot
+    from trajopt.simulation.arm_drive import ArmDrive
+    from trajopt.simulation.lockstep import DrivenMotion
     from trajopt.simulation.settings import Impulse
     from trajopt.terrain.piecewise import PiecewiseTerrain
 
@@ -130,13 +130,13 @@ def drive_command(
         require_positive("--seconds", seconds, "s")
     if slope is not None and boxes is not None:
         raise InputError("--slope and --boxes are both given", "allowed: one of them")
-    from trajopt.mpc.arm import ArmSettings
-    from trajopt.mpc.arm_drive import drive_arm, read_targets
-    from trajopt.mpc.commands import read_commands
-    from trajopt.mpc.lockstep import drive
-    from trajopt.mpc.receding import ControllerSettings
+    from trajopt.control.mpc.arm import ArmSettings
+    from trajopt.control.mpc.commands import read_commands
+    from trajopt.control.mpc.receding import ControllerSettings
     from trajopt.robot.catalogue import robot as load
     from trajopt.schedule.gaits import gait_names
+    from trajopt.simulation.arm_drive import drive_arm, read_targets
+    from trajopt.simulation.lockstep import drive
 
     loaded = load(robot)
     driving = busy(f"driving {loaded.name} in MuJoCo by {script}")
@@ -228,7 +228,7 @@ def _posts(texts: tuple[str, ...]) -> list[Obstacle]:
 
 
 def _ground(robot: Robot, slope: float | None, boxes: float | None, seed: int) -> PiecewiseTerrain | None:
-    from trajopt.mpc.hidden_ground import boxes_ahead, slope_ahead
+    from trajopt.control.mpc.hidden_ground import boxes_ahead, slope_ahead
 
     if slope is not None:
         return slope_ahead(slope)

@@ -20,7 +20,7 @@ from trajopt.cli.input import (
 from trajopt.cli.report import say
 from trajopt.errors import InputError
 from trajopt.export.formats import FORMATS, OPTIONS, keyword_arguments, require_count, require_options
-from trajopt.solution.output import check_apart, check_folder, check_output, require_ending
+from trajopt.motion.output import check_apart, check_folder, check_output, require_ending
 
 # Endings of files by format: samples of the solution, and its model.
 ENDINGS = {"csv": ".csv", "parquet": ".parquet", "npz": ".npz", "mjcf": ".xml"}
@@ -153,7 +153,7 @@ def _refuse_options(form: str, names: Iterable[str]) -> None:
 def _refuse_solution_file(target: Path) -> None:
     """Raise `InputError` where a solution would be replaced by its samples."""
     from trajopt.errors import SolutionFileError
-    from trajopt.solution.file import read_solution_file
+    from trajopt.motion.file import read_solution_file
 
     if target.suffix.lower() == ".npz" and target.exists():
         with contextlib.suppress(SolutionFileError):

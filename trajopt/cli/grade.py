@@ -12,8 +12,8 @@ from trajopt.cli.report import SolveReport
 from trajopt.errors import InputError
 
 if TYPE_CHECKING:
+    from trajopt.motion.solution import Solution
     from trajopt.problem.problem import Problem
-    from trajopt.solution.solution import Solution
     from trajopt.solving.graded import Graded
     from trajopt.solving.monitoring import Watch
     from trajopt.transcription.mesh import Mesh
@@ -88,7 +88,7 @@ def solve_whole(problem: Problem, lifted: Solution, arguments: dict[str, Any]) -
     arguments: those of the command; a mesh that is named stays. Also returns lines of the summary.
     """
     from trajopt.certify.check import check
-    from trajopt.solution.grid import mesh_of
+    from trajopt.motion.grid import mesh_of
     from trajopt.solving.graded import solve_graded
     from trajopt.solving.time_limits import OVERHEAD_TIME
 

@@ -15,8 +15,8 @@ from trajopt.errors import InputError
 from trajopt.solvers.drivers import SOLVERS
 
 if TYPE_CHECKING:
+    from trajopt.motion.solution import Solution
     from trajopt.problem.problem import Problem
-    from trajopt.solution.solution import Solution
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 _Option = Callable[[_Command], _Command]
@@ -170,7 +170,7 @@ def chosen_problem(name: str, settings: Sequence[str]) -> Problem:
 
 def load_plan(file: Path) -> Solution:
     """The solution in a file; warns where it is not a success."""
-    from trajopt.solution.solution import Solution
+    from trajopt.motion.solution import Solution
 
     plan = Solution.load(file)
     if not plan.success:

@@ -18,7 +18,7 @@ from trajopt.cli.report import say
 from trajopt.solving.time_limits import GRACE
 
 if TYPE_CHECKING:
-    from trajopt.solution.solution import Solution
+    from trajopt.motion.solution import Solution
     from trajopt.solving.monitoring import Watch
     from trajopt.view.watching.viewer import Viewer
 

@@ -16,7 +16,7 @@ from trajopt.cli.input import (
     threads_option,
 )
 from trajopt.cli.report import say, to_json
-from trajopt.solution.output import check_solution_output
+from trajopt.motion.output import check_solution_output
 
 
 @click.command("reference")

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from trajopt.certify.check import Examination
     from trajopt.certify.report import CheckReport
-    from trajopt.solution.solution import Solution
+    from trajopt.motion.solution import Solution
 
 # Width in columns of a table that is written to a file or a pipe.
 PIPE_WIDTH = 120

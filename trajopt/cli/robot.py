@@ -11,7 +11,7 @@ import click
 from trajopt.cli.input import json_option, value_option
 from trajopt.cli.report import say, to_json
 from trajopt.errors import InputError
-from trajopt.solution.output import check_apart, check_output, replacing, require_ending
+from trajopt.motion.output import check_apart, check_output, replacing, require_ending
 
 if TYPE_CHECKING:
     from trajopt.dynamics.base_joint import Base

@@ -23,13 +23,13 @@ from trajopt.cli.input import (
 from trajopt.cli.progress import busy
 from trajopt.cli.report import say, to_json
 from trajopt.errors import InputError
-from trajopt.solution.output import check_apart, check_output, check_solution_output, require_ending
+from trajopt.motion.output import check_apart, check_output, check_solution_output, require_ending
 
 if TYPE_CHECKING:
-    from trajopt.mpc.replanning import ReplanningController
+    from trajopt.control.mpc.replanning import ReplanningController
+    from trajopt.motion.solution import Solution
     from trajopt.simulation.settings import Controller
     from trajopt.simulation.simulate import Simulation
-    from trajopt.solution.solution import Solution
 
 # Word of the controller that plans anew at each tick.
 REPLANNING = "receding-horizon"
@@ -86,7 +86,7 @@ def simulate_command(
 
 def _replanning(plan: Solution, cycles: int) -> ReplanningController:
     """What plans anew, for the robot of the plan's problem, or of its name. Raises `InputError`."""
-    from trajopt.mpc.replanning import ReplanningController
+    from trajopt.control.mpc.replanning import ReplanningController
     from trajopt.problem.catalogue import families, load
     from trajopt.robot.catalogue import robot
     from trajopt.robot.legs import legs_only
@@ -135,7 +135,7 @@ def walk_command(
     """
     check_apart([plan, output, html], [Path(robot)])
     planned, (motion, page) = plan and check_solution_output(plan), _checked_outputs(output, html)
-    from trajopt.guesses.pendulum_walk import commanded_walk, walk_plan
+    from trajopt.reduced.pendulum_walk import commanded_walk, walk_plan
     from trajopt.robot.catalogue import robot as load
     from trajopt.robot.legs import legs_only
     from trajopt.simulation.simulate import simulate

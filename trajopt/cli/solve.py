@@ -30,7 +30,7 @@ from trajopt.cli.progress import open_viewer, show_until_interrupted, watch_opti
 from trajopt.cli.report import say, solve_dict, solve_summary, to_json
 from trajopt.cli.warm import solve_warm, warm_options
 from trajopt.errors import InputError, TrajoptError
-from trajopt.solution.output import check_apart, check_solution_output
+from trajopt.motion.output import check_apart, check_solution_output
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -38,8 +38,8 @@ if TYPE_CHECKING:
     from trajopt.certify.check import Examination
     from trajopt.certify.report import CheckReport
     from trajopt.cli.report import SolveReport
-    from trajopt.scenes.smallest_scene import Scene
-    from trajopt.solution.solution import Solution
+    from trajopt.motion.solution import Solution
+    from trajopt.reduced.scenes.smallest_scene import Scene
 
 
 @click.command(
@@ -126,7 +126,7 @@ def solve_command(
         )
     scene: Scene | None = None
     if smallest or explain or keep:
-        from trajopt.scenes.smallest_scene import smallest as smallest_scene
+        from trajopt.reduced.scenes.smallest_scene import smallest as smallest_scene
 
         scene = smallest_scene(loaded, keep=keep, mesh=mesh_at_first(loaded, arguments))
         if explain and not as_json:

@@ -21,7 +21,7 @@ from trajopt.cli.interruption import CANCELLED
 from trajopt.cli.progress import runs_to_its_end
 from trajopt.cli.report import console, to_json
 from trajopt.errors import InputError
-from trajopt.solution.output import check_output
+from trajopt.motion.output import check_output
 
 if TYPE_CHECKING:
     from trajopt.study.suite.cases import Case

@@ -14,7 +14,7 @@ from trajopt.cli.input import WholeNumber, default_option, layout_options, outpu
 from trajopt.cli.interruption import INTERRUPTION
 from trajopt.cli.progress import busy
 from trajopt.cli.report import say
-from trajopt.solution.output import check_apart, check_output, require_ending
+from trajopt.motion.output import check_apart, check_output, require_ending
 
 LAYERS = (
     "robot, shapes, forces, controller, impulses, cones, com, zmp, "

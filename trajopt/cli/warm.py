@@ -37,7 +37,7 @@ def solve_warm(
     **settings: Any,
 ) -> SolveReport:
     """Solve from a file, over a ladder, or neither (a ladder of one rung), with progress."""
-    from trajopt.solution.input import solution_of
+    from trajopt.motion.input import solution_of
     from trajopt.solving.ladder import solve_ladder
     from trajopt.solving.time_limits import OVERHEAD_TIME
 

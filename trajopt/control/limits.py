@@ -8,10 +8,10 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.dynamics.base_joint import UNLIMITED, position_limits
+from trajopt.motion.description import PlanDescription
 from trajopt.robot.actuators.actuation import Actuation, least_inputs
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.robot import Robot
-from trajopt.solution.description import PlanDescription
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,8 +9,8 @@ import numpy as np
 from trajopt.control.contact_forces import ActiveContact
 from trajopt.control.plan_targets import PlanTargets
 from trajopt.control.reference import ReferenceTrajectory
+from trajopt.motion.solution import Solution
 from trajopt.robot.natural_units import NaturalUnits
-from trajopt.solution.solution import Solution
 
 # A contact that is early by less than this fraction of its swing takes load at once.
 EARLY = 1 / 3

@@ -8,8 +8,8 @@ import pinocchio as pin
 from trajopt.control.reference import ReferenceTrajectory
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.motion.carried import carrying_model
+from trajopt.motion.solution import Solution
 from trajopt.motion.touched import TouchedSurfaces, touched_surfaces
-from trajopt.solution.solution import Solution
 
 
 @dataclass(frozen=True, kw_only=True)

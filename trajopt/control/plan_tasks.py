@@ -18,8 +18,8 @@ from trajopt.control.swing_tasks import SwingTasks
 from trajopt.control.tasks import CenterOfMassTask, ContactForceTask, FrameTask, PostureTask, Task
 from trajopt.dynamics.base_joint import base_of
 from trajopt.motion.cycles import moving_rows
+from trajopt.motion.solution import Solution
 from trajopt.robot.natural_units import NaturalUnits
-from trajopt.solution.solution import Solution
 
 # Factor on rotations of the base about lines on which the robot balances.
 TILT_PART = 0.03

@@ -24,8 +24,8 @@ from trajopt.control.robot_state import RobotState
 from trajopt.control.support import LOWEST
 from trajopt.control.swing_tasks import level_footholds
 from trajopt.dynamics.base_joint import position_limits
+from trajopt.motion.solution import Solution
 from trajopt.robot.natural_units import NaturalUnits
-from trajopt.solution.solution import Solution
 from trajopt.terrain.surface import UP
 
 # Duration of a swing over sqrt(l / g) and its height over l: what joints and torques of the library's

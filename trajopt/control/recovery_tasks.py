@@ -9,8 +9,8 @@ from trajopt.control.recovery import RecoveryStep
 from trajopt.control.reference import ReferenceTrajectory
 from trajopt.control.robot_state import RobotState
 from trajopt.control.tasks import CenterOfMassTask, ContactForceTask, FrameTask, PostureTask, Task
+from trajopt.motion.solution import Solution
 from trajopt.robot.natural_units import NaturalUnits
-from trajopt.solution.solution import Solution
 
 # Factor on the weight of joints during recovery, when feet are far from the planned posture.
 RECOVERING = 0.1

@@ -15,8 +15,8 @@ from trajopt.errors import InputError
 from trajopt.motion.carried import carrying_model
 from trajopt.motion.cycles import CycleImage, passes_of
 from trajopt.motion.quantities import MotionQuantities
+from trajopt.motion.solution import Solution
 from trajopt.robot.natural_units import NaturalUnits
-from trajopt.solution.solution import Solution
 
 # Time for which the last posture of a plan that ends at rest is held, over sqrt(l / g), to test balance.
 HOLD = 2.0

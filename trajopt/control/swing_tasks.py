@@ -15,8 +15,8 @@ from trajopt.control.reference import ReferenceTrajectory
 from trajopt.control.robot_state import RobotState
 from trajopt.control.support import Support
 from trajopt.control.tasks import FrameTask
+from trajopt.motion.solution import Solution
 from trajopt.robot.natural_units import NaturalUnits
-from trajopt.solution.solution import Solution
 from trajopt.terrain.surface import UP, Surface
 
 # Rate of the pendulum after a flight, times sqrt(l / g): legs half as long as the reach.

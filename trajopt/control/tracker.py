@@ -21,10 +21,10 @@ from trajopt.control.reference import ReferenceTrajectory, reference_of
 from trajopt.control.robot_state import RobotState
 from trajopt.control.tick_request import TickCounts, TickRequest
 from trajopt.errors import InputError
+from trajopt.motion.input import SolutionOrFile, require_motion, solution_of
+from trajopt.motion.solution import Solution
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.robot.robot import Robot
-from trajopt.solution.input import SolutionOrFile, require_motion, solution_of
-from trajopt.solution.solution import Solution
 
 # Number of ticks over which joints brake before their limits.
 HORIZON = 10

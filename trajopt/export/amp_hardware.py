@@ -12,7 +12,7 @@ from trajopt.dynamics.base_joint import BASE_JOINT, BASE_ROWS, base_of
 from trajopt.errors import InputError
 from trajopt.export.exported_motion import ExportedMotion
 from trajopt.export.links import frame_motion
-from trajopt.solution.local_states import rotation_matrices
+from trajopt.motion.local_states import rotation_matrices
 
 # Order of the legs in files: PyBullet's, which the loader converts to Isaac Gym's (FL, FR, RL, RR).
 ORDER = ("FR", "FL", "RR", "RL")

@@ -12,12 +12,12 @@ from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError
 from trajopt.export.formats import RATE
 from trajopt.export.links import LinkMotion, link_motion
+from trajopt.motion.consistency import SAME_TIME
 from trajopt.motion.cycles import CycleImage, passes_of
+from trajopt.motion.input import SolutionOrFile, require_motion, solution_of
+from trajopt.motion.sampling import MOST_SAMPLES
+from trajopt.motion.solution import Solution
 from trajopt.pickling import picklable
-from trajopt.solution.consistency import SAME_TIME
-from trajopt.solution.input import SolutionOrFile, require_motion, solution_of
-from trajopt.solution.sampling import MOST_SAMPLES
-from trajopt.solution.solution import Solution
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from trajopt.export.exported_motion import ExportedMotion
 from trajopt.export.formats import package_of_format
 from trajopt.export.links import frame_motion, link_frames, without_jumps
-from trajopt.solution.local_states import rotation_matrices
+from trajopt.motion.local_states import rotation_matrices
 
 # Parent of the frames that have no parent link.
 WORLD_FRAME = "world"

@@ -13,8 +13,8 @@ from trajopt.export.simulator_model import (
     named_coordinates,
     require_same_joints,
 )
+from trajopt.motion.local_states import rotation_matrices
 from trajopt.robot.mujoco_package import mujoco_package
-from trajopt.solution.local_states import rotation_matrices
 
 # Descriptions of a robot from two sources are rounded differently, by less than this, m.
 SAME_PLACE = 5e-3

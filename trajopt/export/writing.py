@@ -7,8 +7,8 @@ from trajopt.arguments import Positive, PositiveCount, checked
 from trajopt.errors import expanded
 from trajopt.export.exported_motion import sample_cycles
 from trajopt.export.formats import format_named, keyword_arguments, require_count, require_options
-from trajopt.solution.input import SolutionOrFile, solutions_of
-from trajopt.solution.output import (
+from trajopt.motion.input import SolutionOrFile, solutions_of
+from trajopt.motion.output import (
     check_apart,
     check_folder,
     check_output,
@@ -16,7 +16,7 @@ from trajopt.solution.output import (
     replacing_folder,
     require_ending,
 )
-from trajopt.solution.solution import Solution
+from trajopt.motion.solution import Solution
 
 
 @checked

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trajopt.collision.near import CollisionScene
+from trajopt.motion.solution import Solution
 from trajopt.motion.traces import Trace, Traces
-from trajopt.solution.solution import Solution
 
 # Distances of pairs are exact within this distance beyond their margin, m; further away only for the nearest
 # pair of a kind.

@@ -3,8 +3,8 @@
 import numpy as np
 import pinocchio as pin
 
+from trajopt.motion.solution import Solution
 from trajopt.robot.payload import loaded_model, payload_wrench
-from trajopt.solution.solution import Solution
 
 
 def carrying_model(plan: Solution, phase: int) -> pin.Model:

@@ -9,10 +9,10 @@ from numpy.typing import ArrayLike
 
 from trajopt.arguments import checked
 from trajopt.errors import InputError
+from trajopt.motion.interpolation import MotionSample
+from trajopt.motion.solution import Solution
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Motion
-from trajopt.solution.interpolation import MotionSample
-from trajopt.solution.solution import Solution
 
 # Fraction of a phase by which a time is moved inwards to select one of the two intervals at a node.
 INWARD_SHIFT = 1e-9

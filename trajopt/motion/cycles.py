@@ -9,9 +9,9 @@ import pinocchio as pin
 
 from trajopt.dynamics.base_joint import base_of
 from trajopt.errors import InputError
+from trajopt.motion.description import PeriodicImage
+from trajopt.motion.solution import Solution
 from trajopt.robot.mirror import signed
-from trajopt.solution.description import PeriodicImage
-from trajopt.solution.solution import Solution
 
 
 def passes_of(plan: Solution, cycles: int) -> int:

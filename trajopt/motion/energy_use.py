@@ -7,8 +7,8 @@ import pinocchio as pin
 
 from trajopt.arguments import SignedFraction, checked
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
-from trajopt.solution.grid import interval_schemes
-from trajopt.solution.solution import Solution
+from trajopt.motion.grid import interval_schemes
+from trajopt.motion.solution import Solution
 from trajopt.terms.drives import heat_coefficients
 
 

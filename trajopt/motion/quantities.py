@@ -15,6 +15,12 @@ from trajopt.dynamics.virtual_base import gimbal_margin_along
 from trajopt.motion.body_distances import FileBodies, missing_shapes
 from trajopt.motion.carried import carrying_model
 from trajopt.motion.cycles import periodicity_error
+from trajopt.motion.interpolation import (
+    InterpolatedMotion,
+    collocation_fractions,
+    lagrange_coefficients,
+)
+from trajopt.motion.local_states import local_state
 from trajopt.motion.resampling import samples_at
 from trajopt.motion.samples import (
     ContactPlaces,
@@ -23,17 +29,11 @@ from trajopt.motion.samples import (
     sample_quantities,
     state_distance,
 )
+from trajopt.motion.solution import Solution
 from trajopt.motion.touched import TouchedSurfaces, held_part, touched_surfaces, without_rolling
 from trajopt.motion.traces import Trace, Traces, joints_of, names_of_inputs, names_of_rows
 from trajopt.robot.building import reach
 from trajopt.robot.natural_units import NaturalUnits, turning_rows
-from trajopt.solution.interpolation import (
-    InterpolatedMotion,
-    collocation_fractions,
-    lagrange_coefficients,
-)
-from trajopt.solution.local_states import local_state
-from trajopt.solution.solution import Solution
 
 
 class MotionQuantities:

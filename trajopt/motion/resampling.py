@@ -4,9 +4,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from trajopt.solution.arrays import REQUESTS
-from trajopt.solution.interpolation import MotionPolynomials, MotionSample, joined
-from trajopt.solution.solution import Solution
+from trajopt.motion.arrays import REQUESTS
+from trajopt.motion.interpolation import MotionPolynomials, MotionSample, joined
+from trajopt.motion.solution import Solution
 
 Sampler = Callable[[Solution, int, np.ndarray], MotionSample]
 

@@ -9,7 +9,7 @@ import pinocchio as pin
 from trajopt import _numeric
 from trajopt.dynamics.base_joint import BASE_JOINT, BASE_POSITION, BASE_ROWS, base_of
 from trajopt.motion.carried import carrying_model
-from trajopt.solution.solution import Solution
+from trajopt.motion.solution import Solution
 
 
 @dataclass(frozen=True, kw_only=True)

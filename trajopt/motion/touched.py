@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trajopt.solution.description import GroundShape
-from trajopt.solution.solution import Solution
+from trajopt.motion.description import GroundShape
+from trajopt.motion.solution import Solution
 from trajopt.terrain.surface import UP, Surface
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from trajopt.dynamics.model_quantities import joints_of_rows
-from trajopt.solution.solution import Solution
+from trajopt.motion.solution import Solution
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,12 +20,12 @@ from trajopt.arguments import checked
 from trajopt.dynamics.model_quantities import contact_jacobian, joints_of_rows
 from trajopt.errors import InputError
 from trajopt.motion.samples import sample_quantities
+from trajopt.motion.solution import Solution
 from trajopt.problem.problem import Problem
 from trajopt.reduced.term_reader import TermReader
 from trajopt.robot.actuators.on_robot import drive_torque_values
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
-from trajopt.solution.solution import Solution
 from trajopt.terms.context_symbols import Place
 from trajopt.terms.costs import AccelerationCost, TorqueCost, WrenchCost
 from trajopt.terms.interfaces import Cost, Term

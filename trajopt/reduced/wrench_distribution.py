@@ -28,13 +28,13 @@ from trajopt.arguments import checked
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
+from trajopt.motion.grid import interpolated
 from trajopt.motion.samples import SampleQuantities, sample_quantities
+from trajopt.motion.solution import Solution
 from trajopt.problem.problem import Problem
 from trajopt.reduced.two_stage import TorqueBounds, problem_torque_limit, torque_bounds
 from trajopt.robot.contact import set_rolling_moments
 from trajopt.robot.units import Units
-from trajopt.solution.grid import interpolated
-from trajopt.solution.solution import Solution
 from trajopt.terms.context import Context
 from trajopt.terms.friction import ContactConstraint, FrictionCone, FrictionPyramid, NormalForce
 from trajopt.terms.interfaces import PointConstraint

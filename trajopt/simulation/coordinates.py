@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajopt.dynamics.manifold import Coordinates, Joint
-from trajopt.solution.local_states import rotation_matrices
+from trajopt.motion.local_states import rotation_matrices
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,13 +10,13 @@ import pinocchio as pin
 
 from trajopt.control.reference import ReferenceTrajectory, Timeline
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
+from trajopt.motion.arrays import rows_of
 from trajopt.motion.quantities import MotionQuantities
 from trajopt.motion.samples import contact_places, state_distance
+from trajopt.motion.solution import Solution
 from trajopt.motion.touched import TouchedSurfaces
 from trajopt.simulation.record import SimulationRecord
 from trajopt.simulation.scene import Scene, touching_places
-from trajopt.solution.arrays import rows_of
-from trajopt.solution.solution import Solution
 
 # A contact is loaded above this fraction of the weight: far above rounding, far below a leg's share.
 LOADED = 0.02

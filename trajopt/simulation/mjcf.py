@@ -14,14 +14,14 @@ from numpy.typing import ArrayLike
 
 from trajopt.arguments import checked
 from trajopt.errors import InputError, expanded, first_line
+from trajopt.motion.input import SolutionOrFile, require_motion, solution_of
+from trajopt.motion.output import replacing
+from trajopt.motion.solution import Solution
 from trajopt.robot.mujoco_package import mujoco_package, muted_mujoco
 from trajopt.simulation.bodies import body_name, joint_axis, mujoco_quaternion, part_name
 from trajopt.simulation.scene import Scene, build_scene
 from trajopt.simulation.settings import SimulationSettings
 from trajopt.simulation.site import Site
-from trajopt.solution.input import SolutionOrFile, require_motion, solution_of
-from trajopt.solution.output import replacing
-from trajopt.solution.solution import Solution
 
 # Least mass, kg, and inertia, kg m^2, that MuJoCo accepts: far below those of the smallest robots.
 LEAST = 1e-12

@@ -20,6 +20,9 @@ from trajopt.arguments import NonNegative, Positive, PositiveCount, checked
 from trajopt.control.reference import ReferenceTrajectory, reference_of
 from trajopt.dynamics.base_joint import base_of
 from trajopt.errors import InputError
+from trajopt.motion.input import SolutionOrFile, require_motion, solution_of
+from trajopt.motion.meta import jsonable
+from trajopt.motion.solution import Solution
 from trajopt.robot.mujoco_package import muted_mujoco
 from trajopt.simulation.events import LEAST_LEVEL
 from trajopt.simulation.figures import FallTest
@@ -28,9 +31,6 @@ from trajopt.simulation.scene import Scene, build_scene
 from trajopt.simulation.settings import Controller, Impulse, SimulationSettings
 from trajopt.simulation.simulate import plan_run
 from trajopt.simulation.site import Site
-from trajopt.solution.input import SolutionOrFile, require_motion, solution_of
-from trajopt.solution.meta import jsonable
-from trajopt.solution.solution import Solution
 
 # Duration of a push, and of the simulation from its start, in natural times: within six of them, the error of
 # an inverted pendulum grows four-hundredfold.

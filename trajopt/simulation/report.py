@@ -9,7 +9,7 @@ import numpy as np
 
 from trajopt.control.inverse_dynamics import RELAXED
 from trajopt.control.tick_request import TickCounts
-from trajopt.solution.meta import jsonable
+from trajopt.motion.meta import jsonable
 
 # A plan is tracked if its base ends within this fraction of the reach and within this angle, rad; on a fixed
 # base, if no joint error ever exceeds the last, rad or m.

@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
+from trajopt.motion.description import PlannedContact
 from trajopt.robot.mujoco_package import mujoco_package
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.simulation.bodies import (
@@ -30,7 +31,6 @@ from trajopt.simulation.ground import (
 )
 from trajopt.simulation.settings import CONTACT_TIME, SimulationSettings
 from trajopt.simulation.site import BALL, Grasp, SceneRobot, Site
-from trajopt.solution.description import PlannedContact
 
 # A penetration meets nearly the whole stiffness from the first touch on: d0, dmax, midpoint and power of
 # MuJoCo's impedance; its width is the radius of the balls.

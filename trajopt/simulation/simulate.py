@@ -15,6 +15,8 @@ from trajopt.control.reference import ReferenceTrajectory, Timeline, reference_o
 from trajopt.control.tracker import Tracker
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.errors import InputError, not_among
+from trajopt.motion.input import SolutionOrFile, require_motion, solution_of
+from trajopt.motion.solution import Solution
 from trajopt.robot.mujoco_package import muted_mujoco
 from trajopt.simulation import figures
 from trajopt.simulation.controllers import GivenController, TorqueController
@@ -26,8 +28,6 @@ from trajopt.simulation.scene import Scene, build_scene
 from trajopt.simulation.settings import FEEDBACK_TIME, SimulationSettings
 from trajopt.simulation.simulated import simulated_solution
 from trajopt.simulation.site import Site
-from trajopt.solution.input import SolutionOrFile, require_motion, solution_of
-from trajopt.solution.solution import Solution
 
 
 @dataclass(frozen=True, kw_only=True)

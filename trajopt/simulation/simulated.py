@@ -13,15 +13,15 @@ from typing import Any, Protocol
 import numpy as np
 
 from trajopt.control.reference import Timeline
+from trajopt.motion.arrays import rows_of
+from trajopt.motion.description import PlanDescription
+from trajopt.motion.solution import Solution
+from trajopt.motion.statistics import SolveStatistics
 from trajopt.robot.actuators.joint_force import joint_force
 from trajopt.robot.mujoco_package import mujoco_package
 from trajopt.simulation.figures import loaded_contacts
 from trajopt.simulation.record import SimulationRecord
 from trajopt.simulation.scene import Scene
-from trajopt.solution.arrays import rows_of
-from trajopt.solution.description import PlanDescription
-from trajopt.solution.solution import Solution
-from trajopt.solution.statistics import SolveStatistics
 from trajopt.versions import VERSIONED, installed_version
 
 # Controller periods per interval: 4 ms by default, finer than a video frame.

@@ -14,13 +14,13 @@ from trajopt.control.limits import torque_limits
 from trajopt.dynamics.base_joint import Base, base_of
 from trajopt.motion.carried import carrying_model
 from trajopt.motion.cycles import image_of_contacts
+from trajopt.motion.description import PlanDescription
 from trajopt.motion.samples import ContactPlaces, contact_places
+from trajopt.motion.solution import Solution
 from trajopt.motion.touched import held_samples
 from trajopt.robot.actuators.actuation import Actuation
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.natural_units import NaturalUnits
-from trajopt.solution.description import PlanDescription
-from trajopt.solution.solution import Solution
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.surface import Surface, frame_of_normal
 

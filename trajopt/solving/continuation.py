@@ -7,9 +7,9 @@ from typing import Any
 
 from trajopt.arguments import checked
 from trajopt.errors import InputError, shown
+from trajopt.motion.grid import mesh_of
+from trajopt.motion.solution import Solution
 from trajopt.problem.problem import Problem
-from trajopt.solution.grid import mesh_of
-from trajopt.solution.solution import Solution
 from trajopt.solving.graded import solve_graded
 from trajopt.solving.ladder import FROM_DEFAULT_GUESS, GridLevel, solve_figures, total_effort
 from trajopt.solving.rounds import Graded

@@ -23,13 +23,13 @@ from trajopt.collision.joint_distance import JointDistances
 from trajopt.collision.near import ShapePair
 from trajopt.collision.planes import PlacedBody, SeparatingPlane
 from trajopt.motion.configurations import SolutionMotion
+from trajopt.motion.interpolation import collocation_fractions
+from trajopt.motion.solution import Solution
 from trajopt.problem.bodies import GAP_SLACK, ProblemBodies, bodies_of, contacts_by_shape
 from trajopt.problem.problem import Problem
 from trajopt.robot.contact import Contact
 from trajopt.robot.kinematics import contact_poses
 from trajopt.robot.units import Units
-from trajopt.solution.interpolation import collocation_fractions
-from trajopt.solution.solution import Solution
 from trajopt.terms.moments import LinkDistance, MomentConstraint, PlaneSide, joint_row, plane_row
 
 # A pair that is too near somewhere gets rows wherever its distance is below its margin plus REACH times its

@@ -11,21 +11,21 @@ import pinocchio as pin
 
 from trajopt.collision.near import CollisionScene
 from trajopt.dynamics.model_quantities import generalized_force
-from trajopt.problem.bodies import clearance_of, self_margins, shapes_of
-from trajopt.problem.problem import Problem
-from trajopt.robot.actuators.joint_force import joint_force
-from trajopt.robot.contact import Contact, set_rolling_moments
-from trajopt.robot.robot import Robot
-from trajopt.schedule.schedule import Schedule
-from trajopt.solution.description import (
+from trajopt.motion.description import (
     BodyMargins,
     CarriedBody,
     PeriodicImage,
     PlanDescription,
     PlannedContact,
 )
-from trajopt.solution.solution import Solution
-from trajopt.solution.statistics import SolveStatistics
+from trajopt.motion.solution import Solution
+from trajopt.motion.statistics import SolveStatistics
+from trajopt.problem.bodies import clearance_of, self_margins, shapes_of
+from trajopt.problem.problem import Problem
+from trajopt.robot.actuators.joint_force import joint_force
+from trajopt.robot.contact import Contact, set_rolling_moments
+from trajopt.robot.robot import Robot
+from trajopt.schedule.schedule import Schedule
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.patch import Patch
 from trajopt.terrain.surface import Surface

@@ -13,12 +13,12 @@ import numpy as np
 from trajopt.arguments import check_settings, checked
 from trajopt.certify.report import GRADE, Tolerances
 from trajopt.errors import InputError, require_positive
+from trajopt.motion.grid import mesh_of
+from trajopt.motion.input import solution_of
+from trajopt.motion.solution import Solution
 from trajopt.problem.problem import Problem
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.robot.units import Units
-from trajopt.solution.grid import mesh_of
-from trajopt.solution.input import solution_of
-from trajopt.solution.solution import Solution
 from trajopt.solving.exchange import Exchange
 from trajopt.solving.refinement import USUAL_SCHEME, Refinement
 from trajopt.solving.rounds import Graded, Round

@@ -7,8 +7,8 @@ from typing import Any
 
 from trajopt.arguments import checked
 from trajopt.errors import InputError
+from trajopt.motion.solution import Solution
 from trajopt.problem.problem import Problem
-from trajopt.solution.solution import Solution
 from trajopt.solving.graded import solve_graded
 from trajopt.transcription.transcription import chosen_mesh
 

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 import pinocchio as pin
 
-from trajopt.solution.solution import Solution
+from trajopt.motion.solution import Solution
 from trajopt.solvers.result import Result
 from trajopt.solving.extraction import extract
 from trajopt.transcription.layout import Layout

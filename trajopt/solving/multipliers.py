@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trajopt.solution.grid import mesh_of
-from trajopt.solution.solution import Solution
+from trajopt.motion.grid import mesh_of
+from trajopt.motion.solution import Solution
 from trajopt.solvers.result import WarmMultipliers
 from trajopt.terms.moments import MomentConstraint, PlaneSide
 from trajopt.transcription.layout import Layout

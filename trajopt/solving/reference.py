@@ -15,10 +15,10 @@ from typing import Any
 from trajopt.arguments import Positive, checked
 from trajopt.certify.accuracy.comparison import Comparison, compare
 from trajopt.errors import InputError, TrajoptError
+from trajopt.motion.grid import mesh_of
+from trajopt.motion.solution import Solution
 from trajopt.problem.problem import Problem
 from trajopt.robot.natural_units import NaturalUnits
-from trajopt.solution.grid import mesh_of
-from trajopt.solution.solution import Solution
 from trajopt.solving.solving import DEFAULT_SOLVER, solve
 
 # Degree three has order six where controls are smooth; if a limit becomes active or inactive within an

@@ -18,10 +18,10 @@ import numpy as np
 from trajopt.certify.accuracy.measures import Accuracy, measure
 from trajopt.certify.check import BODIES, Examination, examine
 from trajopt.certify.report import OPEN_LOOP, CheckReport, Tolerances
+from trajopt.motion.grid import mesh_of
+from trajopt.motion.solution import Solution
 from trajopt.problem.problem import Problem
 from trajopt.robot.natural_units import NaturalUnits
-from trajopt.solution.grid import mesh_of
-from trajopt.solution.solution import Solution
 from trajopt.solvers.ipopt import IPOPT_PUSHED
 from trajopt.solvers.result import LEAST_TIME, Option
 from trajopt.solving.exchange import Exchange

@@ -9,10 +9,10 @@ from typing import Any
 from trajopt.certify.accuracy.measures import Accuracy
 from trajopt.certify.check import Examination
 from trajopt.certify.report import CheckReport
+from trajopt.motion.meta import jsonable
+from trajopt.motion.solution import Solution
+from trajopt.motion.statistics import GradedStatistics, RoundStatistics
 from trajopt.problem.problem import Problem
-from trajopt.solution.meta import jsonable
-from trajopt.solution.solution import Solution
-from trajopt.solution.statistics import GradedStatistics, RoundStatistics
 from trajopt.solvers.status import Status
 from trajopt.solving.exchange import Exchange
 from trajopt.solving.verdicts import finite_or_none

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from trajopt.errors import InputError
+from trajopt.motion.input import solution_of
+from trajopt.motion.solution import Solution
 from trajopt.problem.problem import Problem
-from trajopt.solution.input import solution_of
-from trajopt.solution.solution import Solution
 from trajopt.solvers.drivers import check_solver
 from trajopt.solvers.result import LEAST_TIME, Option, Result, StoppingCriteria, WarmMultipliers
 from trajopt.solvers.status import Status

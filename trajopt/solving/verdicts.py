@@ -10,7 +10,7 @@ from trajopt.certify.check import check
 from trajopt.certify.report import AT_POINTS, FIGURES, CheckReport, Tolerances
 from trajopt.dynamics.virtual_base import LEAST_MARGIN, gimbal_margin_along
 from trajopt.errors import TrajoptError
-from trajopt.solution.solution import Solution
+from trajopt.motion.solution import Solution
 from trajopt.solvers.status import Status
 
 # "Solved" is accepted if the recomputed violation of all rows is below this multiple of the tolerance.

@@ -17,11 +17,11 @@ import pinocchio as pin
 from typing_extensions import override
 
 from trajopt.errors import InputError
+from trajopt.motion.arrays import rows_of
 from trajopt.motion.configurations import SolutionMotion
-from trajopt.solution.arrays import rows_of
-from trajopt.solution.interpolation import MotionSample
-from trajopt.solution.local_states import local_state
-from trajopt.solution.solution import Solution
+from trajopt.motion.interpolation import MotionSample
+from trajopt.motion.local_states import local_state
+from trajopt.motion.solution import Solution
 from trajopt.solvers.result import WarmMultipliers
 from trajopt.solving.multipliers import resampled_multipliers
 from trajopt.transcription.guess import MotionSource, node_phase, unknowns_from_motion

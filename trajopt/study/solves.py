@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from trajopt.errors import InputError
+from trajopt.motion.solution import Solution
+from trajopt.motion.statistics import SolveStatistics
 from trajopt.problem.problem import Problem
-from trajopt.solution.solution import Solution
-from trajopt.solution.statistics import SolveStatistics
 from trajopt.solvers.drivers import SOLVERS
 from trajopt.solvers.status import Status
 from trajopt.solving.graded import solve

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from trajopt.arguments import checked
 from trajopt.errors import InputError
-from trajopt.solution.solution import Solution
+from trajopt.motion.solution import Solution
 
 # Pixels: a page below this height has no room for its controls.
 HEIGHT, LEAST_HEIGHT = 460, 120

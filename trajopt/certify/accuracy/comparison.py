@@ -11,11 +11,11 @@ import numpy as np
 from trajopt.certify.accuracy.named_points import NamedPoints
 from trajopt.dynamics.base_joint import base_of
 from trajopt.errors import InputError
+from trajopt.motion.interpolation import MotionSample, joined
 from trajopt.motion.resampling import sample_interval
 from trajopt.motion.samples import state_distance
+from trajopt.motion.solution import Solution
 from trajopt.robot.natural_units import NaturalUnits
-from trajopt.solution.interpolation import MotionSample, joined
-from trajopt.solution.solution import Solution
 
 # Number of times in each phase, including its ends, at which motions are compared.
 COMPARISON_TIMES = 101

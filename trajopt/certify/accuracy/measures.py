@@ -8,10 +8,10 @@ import numpy as np
 from trajopt.certify.accuracy.between import BetweenPoints, figures_between_points
 from trajopt.certify.accuracy.comparison import Comparison, compare
 from trajopt.certify.accuracy.open_loop import OpenLoopDrift, interval_drifts, motion_drift, phase_drifts
+from trajopt.motion.input import SolutionOrFile, consistent_solution
+from trajopt.motion.meta import jsonable
 from trajopt.motion.quantities import MotionQuantities
 from trajopt.motion.samples import largest_known
-from trajopt.solution.input import SolutionOrFile, consistent_solution
-from trajopt.solution.meta import jsonable
 
 
 @dataclass(frozen=True, kw_only=True)

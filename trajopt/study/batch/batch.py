@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from trajopt.arguments import PositiveCount, checked
 from trajopt.errors import InputError, expanded
-from trajopt.solution.solution import Solution
+from trajopt.motion.solution import Solution
 from trajopt.study.batch.engine import run_batch
 from trajopt.study.batch.records import (
     FIGURES,

@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 from trajopt.errors import InputError, expanded
+from trajopt.motion.file import write_bytes
+from trajopt.motion.output import replacing
 from trajopt.problem.catalogue import families
 from trajopt.problem.family import PLAIN_NAME, choose
-from trajopt.solution.file import write_bytes
-from trajopt.solution.output import replacing
 from trajopt.study.batch.solved_case import BatchSettings, CaseResult
 from trajopt.study.batch.variation import BatchCase
 from trajopt.study.processes import LOST

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from trajopt.solution.output import replacing
+from trajopt.motion.output import replacing
 
 if TYPE_CHECKING:
     import pyarrow as pa

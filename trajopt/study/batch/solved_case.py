@@ -8,9 +8,9 @@ from typing import Any
 from trajopt.arguments import checked
 from trajopt.errors import InputError
 from trajopt.motion.energy_use import cost_of_transport, energy
+from trajopt.motion.solution import Solution
 from trajopt.problem.catalogue import families
 from trajopt.problem.family import choose
-from trajopt.solution.solution import Solution
 from trajopt.solving.ladder import total_effort
 from trajopt.study.batch.variation import BatchCase
 from trajopt.study.solves import SolveSettings, failure_text, file_content

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import get_type_hints
 
 from trajopt.errors import InputError
-from trajopt.solution.output import replacing
+from trajopt.motion.output import replacing
 from trajopt.solving.refinement import OBJECTIVE_CHANGE
 from trajopt.study.suite.cases import Pair
 from trajopt.study.suite.outcome import WORDS, Outcome, in_words, quantile

@@ -7,7 +7,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from trajopt.solution.file import write_bytes
+from trajopt.motion.file import write_bytes
 from trajopt.study.processes import REFUSED, TIME_LIMIT
 from trajopt.study.records import JsonLines
 from trajopt.study.solves import ERROR, TIME

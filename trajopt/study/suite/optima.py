@@ -20,8 +20,8 @@ from scipy.spatial.transform import Rotation
 
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.motion.configurations import geodesic_configurations
+from trajopt.motion.solution import Solution
 from trajopt.robot.building import reach
-from trajopt.solution.solution import Solution
 
 SAMPLES = 11
 # Relative to the larger objective. With a tolerance of 1e-6 on optimality, differences are 1e-7 and less.

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from trajopt.errors import InputError, TrajoptError
+from trajopt.motion.grid import mesh_of
+from trajopt.motion.solution import Solution
 from trajopt.problem.catalogue import families
 from trajopt.problem.family import choose
 from trajopt.simulation.settings import Controller
-from trajopt.solution.grid import mesh_of
-from trajopt.solution.solution import Solution
 from trajopt.solving.ladder import total_effort
 from trajopt.solving.solving import check_settings
 from trajopt.study.solves import MOST_STARTS, SolveSettings, failure_text, file_content, mode_of

@@ -7,7 +7,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from trajopt.solution.output import replacing
+from trajopt.motion.output import replacing
 from trajopt.study.sweep.summary import Summary
 
 if TYPE_CHECKING:

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from trajopt.certify.accuracy.measures import measure
+from trajopt.motion.solution import Solution
 from trajopt.problem.problem import Problem
 from trajopt.reduced.two_stage import base_rows_problem, recover_torques
 from trajopt.reduced.wrench_distribution import redistribute_wrenches
-from trajopt.solution.solution import Solution
 from trajopt.solving.reference import converged_reference
 from trajopt.solving.solving import prepare, solve
 from trajopt.solving.warm_start import warm_start

@@ -10,9 +10,9 @@ from typing import Any
 
 from rich.table import Table
 
+from trajopt.motion.output import replacing
 from trajopt.problem import Problem
 from trajopt.robot.units import Units
-from trajopt.solution.output import replacing
 from trajopt.study.display import figure_table
 from trajopt.study.sweep.plan import SweepPlan
 from trajopt.study.sweep.records import SweepResults, TimedRun

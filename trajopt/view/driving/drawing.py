@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from trajopt.mpc.driven_scene import DrivenScene
-from trajopt.mpc.motion import HorizonMotion
+from trajopt.control.mpc.motion import HorizonMotion
+from trajopt.motion.solution import Solution
 from trajopt.robot.kinematics import contact_positions, frame_pose
-from trajopt.solution.solution import Solution
+from trajopt.simulation.driven_scene import DrivenScene
 from trajopt.view.driving.drivers import ArmDriver, LegsDriver, PageController
 from trajopt.view.driving.session import DriveSession
 from trajopt.view.replay.commands import ViewerCommand

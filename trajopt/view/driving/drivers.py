@@ -12,17 +12,17 @@ import numpy as np
 from typing_extensions import override
 
 from trajopt.collision import Obstacle
+from trajopt.control.mpc.arm import ArmController, ArmSettings
+from trajopt.control.mpc.commands import STAND, Command
+from trajopt.control.mpc.controller import Controller
+from trajopt.control.mpc.plans import Plans
+from trajopt.control.mpc.receding import ControllerSettings
 from trajopt.errors import InputError, not_among, shown
-from trajopt.mpc.arm import ArmController, ArmSettings
-from trajopt.mpc.arm_drive import AXES, DELAY, PERIOD, ToolSteering
-from trajopt.mpc.commands import STAND, Command
-from trajopt.mpc.controller import Controller
-from trajopt.mpc.lockstep import Steering
-from trajopt.mpc.plans import Plans
-from trajopt.mpc.receding import ControllerSettings
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.robot.robot import Robot
 from trajopt.schedule.gaits import gait_names
+from trajopt.simulation.arm_drive import AXES, DELAY, PERIOD, ToolSteering
+from trajopt.simulation.lockstep import Steering
 
 # Gaits prepared by default, in seconds each; if a robot has none of them, its first MOST_GAITS.
 USUAL_GAITS, MOST_GAITS = ("trot", "walk", "pace"), 2

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from trajopt.collision import Obstacle
+from trajopt.control.mpc.arm import ArmSettings
+from trajopt.control.mpc.receding import ControllerSettings
 from trajopt.errors import InputError
-from trajopt.mpc.arm import ArmSettings
-from trajopt.mpc.receding import ControllerSettings
+from trajopt.motion.output import check_solution_output
 from trajopt.robot.robot import Robot
-from trajopt.solution.output import check_solution_output
 from trajopt.view.driving.drawing import SOURCE, Painter, scene_of
 from trajopt.view.driving.drivers import ArmDriver, LegsDriver, PageController
 from trajopt.view.driving.server import DriveServer

@@ -10,11 +10,11 @@ import time
 from collections import deque
 from typing import Any, Protocol
 
+from trajopt.control.mpc.commands import CommandScript
 from trajopt.errors import InputError, not_among, shown
-from trajopt.mpc.arm_drive import RATE, ArmDrive, since
-from trajopt.mpc.commands import CommandScript
-from trajopt.mpc.driven_scene import DrivenScene
-from trajopt.mpc.lockstep import DrivenMotion
+from trajopt.simulation.arm_drive import RATE, ArmDrive, since
+from trajopt.simulation.driven_scene import DrivenScene
+from trajopt.simulation.lockstep import DrivenMotion
 from trajopt.simulation.push import DURATION
 from trajopt.simulation.settings import Impulse, SimulationSettings
 from trajopt.simulation.simulated import simulated_solution

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.dynamics.base_joint import BASE_JOINT, UNLIMITED, base_of, position_limits
-from trajopt.solution.solution import Solution
+from trajopt.motion.solution import Solution
 from trajopt.view.plotting.motion import PlottedMotion
 
 # Curves in one panel: the number of distinguishable colours.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from trajopt.solution.grid import interval_schemes
+from trajopt.motion.grid import interval_schemes
 from trajopt.view.plotting import sheet as plot
 from trajopt.view.plotting import style
 from trajopt.view.plotting.motion import PlottedMotion

@@ -17,10 +17,10 @@ from trajopt.certify.accuracy.table import accuracy_figures
 from trajopt.certify.report import MeasuredFigure
 from trajopt.errors import InputError, not_among
 from trajopt.motion.energy_use import cost_of_transport, energy
+from trajopt.motion.input import solutions_of
+from trajopt.motion.output import check_output, replacing
+from trajopt.motion.solution import Solution
 from trajopt.simulation.push import PushReport
-from trajopt.solution.input import solutions_of
-from trajopt.solution.output import check_output, replacing
-from trajopt.solution.solution import Solution
 from trajopt.versions import installed_version
 from trajopt.view.plotting import style
 from trajopt.view.plotting import topics_accuracy as accuracy

@@ -9,8 +9,8 @@ import pinocchio as pin
 
 from trajopt.collision.coal_shapes import thicken
 from trajopt.collision.shapes import BoxObstacle, Obstacle, box_corners
-from trajopt.solution.description import CarriedBody
-from trajopt.solution.solution import Solution
+from trajopt.motion.description import CarriedBody
+from trajopt.motion.solution import Solution
 from trajopt.terrain.bodies import convex_hull
 from trajopt.view.replay.commands import Animation, hold_while_hidden, without_shadow
 from trajopt.view.replay.parts import ColouredMeshGeometry, colour_array, draw_capsule

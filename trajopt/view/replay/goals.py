@@ -8,8 +8,8 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
+from trajopt.motion.solution import Solution
 from trajopt.schedule.moment import Target
-from trajopt.solution.solution import Solution
 from trajopt.terrain.surface import UP, Surface, frame_of_normal
 from trajopt.view.replay.balance import THROUGH
 from trajopt.view.replay.commands import Animation

@@ -15,9 +15,9 @@ import numpy as np
 from trajopt.arguments import checked
 from trajopt.errors import InputError
 from trajopt.kinds import Range
-from trajopt.solution.input import SolutionOrFile, require_motion, solutions_of
-from trajopt.solution.output import check_output, replacing
-from trajopt.solution.solution import Solution
+from trajopt.motion.input import SolutionOrFile, require_motion, solutions_of
+from trajopt.motion.output import check_output, replacing
+from trajopt.motion.solution import Solution
 from trajopt.view.replay import video
 from trajopt.view.replay.browser import AT_START, OpenedPage, open_page, require_chromium
 from trajopt.view.replay.motion import FASTEST

@@ -16,10 +16,10 @@ from pinocchio.visualize.meshcat_visualizer import MeshcatVisualizer, loadMesh
 from trajopt.collision.shapes import box_corners
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.errors import InputError
+from trajopt.motion.solution import Solution
 from trajopt.robot.building import reach
 from trajopt.robot.data import VisualSource
 from trajopt.robot.geometry import DescribedGeometry, described_geometry, mesh_vertices
-from trajopt.solution.solution import Solution
 from trajopt.view.replay.collada import GREY, ColladaError, read_collada
 from trajopt.view.replay.parts import ColouredMeshGeometry, placed
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.errors import InputError
-from trajopt.solution.solution import Solution
+from trajopt.motion.solution import Solution
 from trajopt.view.replay.commands import Recorder, ViewerCommand
 from trajopt.view.replay.motion import ReplayMotion
 from trajopt.view.replay.robot import DrawnRobot, draw_robot, joint_path, subsample

@@ -8,7 +8,7 @@ import meshcat
 import numpy as np
 
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
-from trajopt.solution.solution import Solution
+from trajopt.motion.solution import Solution
 from trajopt.terrain.surface import Surface
 from trajopt.view.replay.balance import SUPPORT_COLOUR, ZMP_COLOUR, balance_of, draw_balance
 from trajopt.view.replay.bodies import (

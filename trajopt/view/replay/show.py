@@ -18,8 +18,8 @@ from meshcat.visualizer import ViewerWindow
 
 from trajopt.arguments import checked
 from trajopt.errors import TrajoptError
-from trajopt.solution.input import SolutionOrFile, require_motion, solutions_of
-from trajopt.solution.output import check_output, replacing
+from trajopt.motion.input import SolutionOrFile, require_motion, solutions_of
+from trajopt.motion.output import check_output, replacing
 from trajopt.view.replay import server
 from trajopt.view.replay.commands import ViewerCommand
 from trajopt.view.replay.motion import replay_motions

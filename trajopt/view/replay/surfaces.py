@@ -6,7 +6,7 @@ from typing import Any
 import meshcat.geometry as shapes
 import numpy as np
 
-from trajopt.solution.solution import Solution
+from trajopt.motion.solution import Solution
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.surface import UP, Surface, frame_of_normal
 from trajopt.view.replay.parts import UPRIGHT, draw_unshadowed, placed

@@ -10,8 +10,8 @@ import pinocchio as pin
 import umsgpack
 
 from trajopt.errors import TrajoptError
+from trajopt.motion.solution import Solution
 from trajopt.robot.building import reach
-from trajopt.solution.solution import Solution
 from trajopt.solving.monitoring import Iterate
 from trajopt.view.replay.commands import Animation, Recorder, ViewerCommand
 from trajopt.view.replay.contacts import TRAIL_COLOURS

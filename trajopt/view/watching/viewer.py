@@ -10,7 +10,7 @@ from queue import SimpleQueue
 
 import zmq
 
-from trajopt.solution.solution import Solution
+from trajopt.motion.solution import Solution
 from trajopt.solving.monitoring import Iterate
 from trajopt.view.replay.commands import ViewerCommand
 from trajopt.view.replay.motion import replay_motion

@@ -1,0 +1,82 @@
+"""Arms that follow a target, on inverse and forward dynamics of numeric Pinocchio."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from trajopt.collision import CapsuleObstacle
+from trajopt.control.mpc.arm import ArmController, ArmSettings, ToolTarget
+from trajopt.errors import InputError
+from trajopt.robot import Robot, frame_pose
+from trajopt_library import robots
+
+TICK = 1e-3
+TOOLS = {"panda": "panda_hand_tcp", "ur5": "tool0"}
+
+
+def followed(robot: Robot, controller: ArmController, target, duration: float) -> np.ndarray:
+    """Configurations (n, nq) at ticks."""
+    model, q, v = robot.model, robot.reference.copy(), np.zeros(robot.nv)
+    data, rows = model.createData(), []
+    for k in range(round(duration / TICK)):
+        torque = controller.step(k * TICK, q, v, target(k * TICK))
+        v = v + TICK * pin.aba(model, data, q, v, torque)
+        q = pin.integrate(model, q, TICK * v)
+        rows.append(q)
+    return np.array(rows)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", list(TOOLS))
+def test_a_tool_follows_a_target_past_an_obstacle(name: str) -> None:
+    """A post stands between start and goal; the arm ends at the goal and has kept its distance on the way."""
+    robot = robots.load(name)
+    place = frame_pose(robot, robot.reference, TOOLS[name])
+    turned = pin.utils.rotate("z", 1.2) @ place.translation
+    middle = pin.utils.rotate("z", 0.6) @ place.translation * np.array([1.0, 1.0, 0.0])
+    post = CapsuleObstacle(
+        name="post",
+        start=middle + np.array([0.0, 0.0, 0.02]),
+        end=middle + np.array([0.0, 0.0, 0.6 * place.translation[2]]),
+        radius=0.03,
+    )
+    controller = ArmController(robot, TOOLS[name], (post,))
+
+    def target(time: float) -> ToolTarget:
+        share = min(time / 2.0, 1.0)
+        return ToolTarget(position=(1 - share) * place.translation + share * turned)
+
+    q = followed(robot, controller, target, 4.0)
+    end = frame_pose(robot, q[-1], TOOLS[name]).translation
+    assert np.linalg.norm(end - turned) < 5e-3
+    distances = controller.scene.distances(q[::20])[:, : controller.scene.n_outer]
+    assert distances.min() > 0.0
+    assert controller.report.anew == 0
+    low, high = robot.position_lower, robot.position_upper
+    assert (q >= low - 1e-6).all()
+    assert (q <= high + 1e-6).all()
+
+
+@pytest.mark.long
+def test_a_tool_turns_where_a_rotation_is_asked_for() -> None:
+    robot = robots.load("ur5")
+    place = frame_pose(robot, robot.reference, "tool0")
+    goal = place.rotation @ pin.utils.rotate("x", 0.4)
+    controller = ArmController(robot, "tool0")
+    q = followed(robot, controller, lambda _: ToolTarget(position=place.translation, rotation=goal), 1.5)
+    away = pin.log3(goal.T @ frame_pose(robot, q[-1], "tool0").rotation)
+    assert np.linalg.norm(away) < 0.02
+
+
+def test_targets_frames_and_bases_that_are_none_are_refused() -> None:
+    robot = robots.load("ur5")
+    with pytest.raises(InputError, match="fixed base"):
+        ArmController(robots.load("go2"))
+    with pytest.raises(InputError, match="tool"):
+        ArmController(robot, "nothing")
+    with pytest.raises(InputError, match="position"):
+        ToolTarget(position=np.array([0.0, np.nan, 0.0]))
+    with pytest.raises(InputError, match="rotation"):
+        ToolTarget(position=np.zeros(3), rotation=np.ones((3, 3)))
+    with pytest.raises(InputError, match="span"):
+        ArmSettings(span=-1.0)

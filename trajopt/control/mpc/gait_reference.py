@@ -1,0 +1,130 @@
+"""The reference of a horizon from a command: speeds and heading of the base, and footholds of a gait."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import pinocchio as pin
+
+from trajopt.control.mpc.clock import GaitClock, Swing
+from trajopt.control.mpc.commands import Command
+from trajopt.control.mpc.ground import GroundEstimate
+from trajopt.control.mpc.reference import reference_layout
+from trajopt.robot.kinematics import contact_positions
+from trajopt.robot.robot import Robot
+
+# Factor on a foot's level error at the end of its swing, relative to the error of its height.
+PULL = 0.2
+
+
+class RestingFeet:
+    """Feet of a robot in its reference posture.
+
+    Args:
+        robot: a robot with a free base.
+        names: names of the contacts that are its feet.
+
+    ``hips`` (n, 3) are the positions of the feet relative to the base, m, ``radius`` (n,) their radii, m,
+    ``numbers`` their indices among the contacts; ``standing`` is the height of the base above the ground, m.
+    """
+
+    def __init__(self, robot: Robot, names: Sequence[str]) -> None:
+        known, base = contact_positions(robot, robot.reference), robot.reference[:3]
+        places = np.array([known[name] for name in names])
+        contacts = [robot.contact(name) for name in names]
+        self.robot, self.names = robot, tuple(names)
+        self.hips, self.radius = places - base, np.array([contact.radius for contact in contacts])
+        self.numbers = [robot.contacts.index(contact) for contact in contacts]
+        self.soles = [contact.kind == "surface" for contact in contacts]
+        self.standing = float(base[2] - np.min(places[:, 2] - self.radius))
+
+
+@dataclass(frozen=True, kw_only=True)
+class GaitReference:
+    """The reference of a gait's plan, from now on.
+
+    ``base`` is the present configuration (nq,), ``heading`` that of the base, rad, ``ground`` the estimate of
+    the ground, ``half_stance`` in s; ``lifts`` are the heights of swings of point feet and of soles, m.
+    """
+
+    feet: RestingFeet
+    base: np.ndarray
+    command: Command
+    heading: float
+    ground: GroundEstimate
+    swings: Mapping[str, Sequence[Swing]]
+    half_stance: float
+    lifts: tuple[float, float]
+
+    def landing_height(self, name: str, time: float) -> float:
+        """Height of the frame of a contact that lands about ``time`` s from now, m."""
+        number = self.feet.names.index(name)
+        ends = np.array([swing.end for swing in self.swings[name]])
+        place = self.foothold(number, float(ends[np.abs(ends - time).argmin()]))
+        return float(self.ground.height(*place) + self.feet.radius[number])
+
+    def foothold(self, number: int, time: float) -> np.ndarray:
+        """Foothold (2,) of a foot that lands ``time`` s from now, m: below its hip in mid stance."""
+        along, left = self._axes(np.array(time))
+        level = self.command.speed * along + self.command.lateral * left
+        hip = self.feet.hips[number]
+        goal = self.base[:2] + level * (time + self.half_stance) + hip[0] * along + hip[1] * left
+        return np.asarray(goal)
+
+    def rows(self, times: np.ndarray) -> np.ndarray:
+        """The reference (n, size) at times (n,) from now, s."""
+        robot, ground, command = self.feet.robot, self.ground, self.command
+        at, n, last = reference_layout(robot), len(times), float(times.max())
+        rows = np.zeros((n, at.size))
+        along, left = self._axes(times)
+        level = command.speed * along + command.lateral * left
+        rows[:, :2] = self.base[:2] + times[:, None] * level
+        rows[:, 2] = ground.height(rows[:, 0], rows[:, 1]) + self.feet.standing + command.height
+        rows[:, at.velocity] = np.column_stack([level, level @ ground.slope])
+        rows[:, at.quaternion] = self._quaternions(times)
+        rows[:, at.spin.stop - 1] = command.turn_rate
+        rows[:, at.posture] = robot.reference[7:]
+        for number, name in enumerate(self.feet.names):
+            lift, foot = self.lifts[self.feet.soles[number]], at.foot(self.feet.numbers[number]).start
+            for swing in self.swings[name]:
+                if swing.begin > last:
+                    break
+                inside = np.flatnonzero((times >= swing.begin) & (times <= swing.end))
+                s = (times[inside] - swing.begin) / (swing.end - swing.begin)
+                goal = self.foothold(number, swing.end)
+                begin = ground.places[number, 2] if swing.begin <= 0 else ground.height(*goal)
+                base = begin + s * (ground.height(*goal) - begin) + self.feet.radius[number]
+                rows[inside, foot], rows[inside, foot + 1] = goal
+                rows[inside, foot + 2] = base + lift * 16 * s**2 * (1 - s) ** 2
+                rows[inside, foot + 3] = rows[inside, foot + 4] = PULL * s
+                rows[inside, foot + 5] = 1.0
+        return rows
+
+    def _axes(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Level unit vectors forward and to the left (..., 2) at times (...) from now, s."""
+        angle = self.heading + self.command.turn_rate * times
+        along = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        return along, np.stack([-along[..., 1], along[..., 0]], axis=-1)
+
+    @cached_property
+    def _tilt(self) -> np.ndarray:
+        """Quaternion (4,) that turns the vertical to the normal of the ground."""
+        normal = np.append(-self.ground.slope, 1.0)
+        turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), normal / np.linalg.norm(normal))
+        return np.asarray(turn.coeffs())
+
+    def _quaternions(self, times: np.ndarray) -> np.ndarray:
+        """Quaternions of the base (n, 4) at times (n,): parallel to the ground, in the commanded heading."""
+        angle = 0.5 * (self.heading + self.command.turn_rate * times)
+        x, y, _, w = self._tilt
+        sin, cos = np.sin(angle), np.cos(angle)
+        return np.column_stack([x * cos + y * sin, y * cos - x * sin, w * sin, w * cos])
+
+
+def half_stance(clock: GaitClock) -> float:
+    """Half the stance time of a foot in the present gait, s; 0 while the robot stands."""
+    gait = clock.gaits.get(clock.gait)
+    return 0.0 if gait is None else 0.5 * gait[0].duty_of(gait[0].feet[0]) * gait[1]

@@ -1,5 +1,0 @@
-"""Initial guesses: motions of base and feet, with the legs by inverse kinematics."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

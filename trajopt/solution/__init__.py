@@ -1,5 +1,0 @@
-"""Solutions of problems, and their files."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
