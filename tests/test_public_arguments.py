@@ -20,7 +20,7 @@ ROOMS = (
     "trajopt.robot",
     "trajopt.problem",
 )
-MORE_ROOMS = ("certify", "guesses", "reduced", "scenes", "solution", "study", "view")
+MORE_ROOMS = ("certify", "motion", "reduced", "reduced.scenes", "study", "view")
 
 
 class Wrong:

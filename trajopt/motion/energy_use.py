@@ -1,12 +1,14 @@
 """Energy drawn by the drives of a solution, and its cost of transport."""
 
 import math
+from typing import Annotated
 
 import numpy as np
 import pinocchio as pin
 
 from trajopt.arguments import SignedFraction, checked
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
+from trajopt.kinds import ArrayShape
 from trajopt.motion.grid import interval_schemes
 from trajopt.motion.solution import Solution
 from trajopt.terms.drives import heat_coefficients
@@ -32,7 +34,8 @@ def energy(solution: Solution, *, recovered: SignedFraction = -1.0) -> float:
     return integral(solution, (drawn + heat).sum(axis=1))
 
 
-def integral(solution: Solution, values: np.ndarray) -> float:
+@checked
+def integral(solution: Solution, values: Annotated[np.ndarray, ArrayShape((None,))]) -> float:
     """Integrate values (K,) at the samples over time by the quadrature of the transcription."""
     return float(np.dot(_quadrature(solution), values))
 
