@@ -1,4 +1,4 @@
-"""Controllers that track a plan by task-space inverse dynamics with quadratic programs."""
+"""Controllers: task-space inverse dynamics that tracks a plan, and receding horizons in `control.mpc`."""
 
 import lazy_loader
 

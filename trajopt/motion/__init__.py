@@ -1,4 +1,4 @@
-"""Quantities along a motion: samples, carried bodies, touched surfaces, periodic images, energy."""
+"""Solutions, their files, and quantities along their motions: samples, carried bodies, energy."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Reduced models: two-stage locomotion, the single rigid body, the linear inverted pendulum."""
+"""Reduced models: paths of base and feet as guesses, plans by one body or a pendulum, smallest scenes."""
 
 import lazy_loader
 

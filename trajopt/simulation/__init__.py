@@ -1,4 +1,4 @@
-"""A scene, a controller and events give a record in MuJoCo, with compliant contacts; plans are one use."""
+"""A scene, a controller and events give a record in MuJoCo: of plans, pushes and drives."""
 
 import lazy_loader
 

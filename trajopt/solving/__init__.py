@@ -1,4 +1,4 @@
-"""Solve a problem: in one call, from a warm start, as a sequence, with refinement, or to a reference."""
+"""Solve a problem: in one call, from a warm start, as a sequence, with refinement; and say why it failed."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Many solves: batches of cases, suites of problems, sweeps over settings, and their common runner."""
+"""Many solves: batches of cases, suites of problems, sweeps over settings, discovery of schedules."""
 
 import lazy_loader
 

@@ -1,7 +1,7 @@
 """Model predictive control: commands to horizons, horizons to motions, motions to torques.
 
-`Controller.step` and `ArmController.step` need no simulator; `drive` and the command ``trajopt drive`` run
-them in one.
+`Controller.step` and `ArmController.step` need no simulator; `trajopt.simulation.drive` and the command
+``trajopt drive`` run them in one.
 """
 
 import lazy_loader
