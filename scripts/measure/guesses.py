@@ -8,7 +8,7 @@ import numpy as np
 
 from scripts.measure.shared import NOISE, head, median, row, solver_option, timed
 from trajopt import Problem, solve
-from trajopt.problem.contact_motion import ContactMotion
+from trajopt.problem.contact_paths import ContactPaths
 from trajopt.reduced.body_guess import DEFAULT_CLEARANCE, guess_from_lip, guess_from_srb
 from trajopt.reduced.footsteps import feet_of
 from trajopt.reduced.single_rigid_body import body_problem, footholds_of
@@ -32,7 +32,7 @@ LIMITS = StoppingCriteria(max_iterations=200)
 class Midway:
     """Centre of mass midway between the feet, as its motion in a guess without a model."""
 
-    feet: ContactMotion
+    feet: ContactPaths
 
     def com(self, t: float) -> np.ndarray:
         """Mean position of the feet (2,), m."""
@@ -85,7 +85,7 @@ def walks() -> Iterator[tuple[str, str, Problem]]:
         problem = problems.load("biped-walk", **values)
         yield name, "pendulum", problem
         robot, plan = problem.robot, footholds_of(problem)
-        feet = plan.contact_motion(feet_of(robot, problem.initial_q), DEFAULT_CLEARANCE)
+        feet = plan.contact_paths(feet_of(robot, problem.initial_q), DEFAULT_CLEARANCE)
         yield name, "midway", replace(problem, guess=guess_from_lip(robot, plan, Midway(feet=feet)))
         yield name, "standing still", standing_still(problem)
 

@@ -11,7 +11,7 @@ from scripts.measure.shared import head, row, solver_option, verdict
 from trajopt import Contact, Phase, Problem, Robot, Schedule, check, solve
 from trajopt.reduced.scenes import smallest
 from trajopt.reduced.scenes.goals import scene
-from trajopt.reduced.scenes.smallest_scene import Scene
+from trajopt.reduced.scenes.smallest_scene import SmallestScene
 from trajopt.robot.building import reference_posture
 from trajopt.robot.data import VisualSource, package_directories, robot_file
 from trajopt.robot.reading import read_urdf
@@ -32,10 +32,10 @@ JUMP_INTERVALS, QUADRUPED_INTERVALS, REACH_INTERVALS, SQUAT_INTERVALS = 50, 30, 
 HIPS = ("HAA", "hip")
 
 # Variant, its problem, and the scene that lifts its solution to the whole robot.
-Variant = tuple[str, Problem, Scene | None]
+Variant = tuple[str, Problem, SmallestScene | None]
 
 
-def upright_jump(name: str = "solo12") -> Scene:
+def upright_jump(name: str = "solo12") -> SmallestScene:
     """A quadruped with its legs in vertical planes jumps forward: what a planar model can do."""
     robot = robots.load(name)
     model, standing = robot.model, robot.reference
@@ -60,7 +60,7 @@ def hips(robot: Robot) -> list[str]:
     return [name for name in robot.model.names if any(part in name for part in HIPS)]
 
 
-def panda_reach() -> Scene:
+def panda_reach() -> SmallestScene:
     """Panda brings its hand to a position: its fingers are not needed."""
     path = robot_file("panda_description/urdf/panda.urdf")
     visual = VisualSource(urdf=path, package_dirs=package_directories(path))
@@ -70,7 +70,7 @@ def panda_reach() -> Scene:
     return scene(robot, schedule, {"panda_hand": np.array(PANDA_GOAL)}, name="panda-reach")
 
 
-def talos_squat() -> Scene:
+def talos_squat() -> SmallestScene:
     """Talos with all its joints lowers its waist by a tenth of a metre."""
     size = {"half_length": talos.HALF_LENGTH, "half_width": talos.HALF_WIDTH}
     soles = [Contact(frame=f, name=side, kind="surface", **size) for side, f in talos.SOLES.items()]
@@ -123,7 +123,7 @@ def _built(problem: Problem) -> Variant:
     return "as built", problem, None
 
 
-def _made(what: str, made: Scene) -> Variant:
+def _made(what: str, made: SmallestScene) -> Variant:
     return what, made.problem, made
 
 

@@ -284,7 +284,7 @@ def test_schedule_of_a_plan_lands_new_feet_on_their_footholds() -> None:
 def test_feet_of_a_guess_stand_still_and_swings_start_and_end_at_rest() -> None:
     robot = biped("talos")
     plan = Walk(steps=2).plan(robot)
-    feet = plan.contact_motion(feet_of(robot, robot.reference), 0.1)
+    feet = plan.contact_paths(feet_of(robot, robot.reference), 0.1)
     begin, end = plan.supports[0].duration, plan.supports[0].duration + plan.supports[1].duration
     assert_allclose(feet.pose("right", 0.8).translation, plan.supports[0].feet["right"].position)
     assert feet.around("left", (begin + end) / 2)[2] == pytest.approx(0.5)
@@ -299,7 +299,7 @@ def test_guess_puts_feet_on_their_path_and_the_com_on_its_motion() -> None:
     robot, plan, pendulum, com = walk_of(turn=0.1)
     motion = CenterOfMassProgram(robot=robot, plan=plan, pendulum=pendulum, com_start=com).solve()
     guess = guess_from_lip(robot, plan, motion)
-    feet = plan.contact_motion(feet_of(robot, robot.reference), DEFAULT_CLEARANCE)
+    feet = plan.contact_paths(feet_of(robot, robot.reference), DEFAULT_CLEARANCE)
     assert_allclose(guess(0.0), robot.reference, atol=1e-9)
     for t in np.linspace(0.1, plan.duration, 7):
         q = guess(t)

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from trajopt.certify.report import CheckReport
     from trajopt.cli.report import SolveReport
     from trajopt.motion.solution import Solution
-    from trajopt.reduced.scenes.smallest_scene import Scene
+    from trajopt.reduced.scenes.smallest_scene import SmallestScene
 
 
 @click.command(
@@ -124,7 +124,7 @@ def solve_command(
             "--nearest is given with another way of solving",
             "allowed: without --smallest, --keep, --ladder, --compare, --accuracy and --budget",
         )
-    scene: Scene | None = None
+    scene: SmallestScene | None = None
     if smallest or explain or keep:
         from trajopt.reduced.scenes.smallest_scene import smallest as smallest_scene
 

@@ -27,7 +27,7 @@ MOST_PERIODS = 200_000
 
 
 @dataclass(frozen=True, kw_only=True)
-class Timeline:
+class ContactTimeline:
     """Ticks of a controller, and the phase and contacts of each.
 
     Args:
@@ -54,7 +54,7 @@ class Timeline:
         return len(self.t) - self.held
 
     @classmethod
-    def of_one_phase(cls, name: str, rate: float, duration: float, active: np.ndarray) -> Timeline:
+    def of_one_phase(cls, name: str, rate: float, duration: float, active: np.ndarray) -> ContactTimeline:
         """One phase of ``duration`` s at ``rate`` Hz, with ``active`` contacts (nc,). Raises `InputError`."""
         require_few_ticks(duration * rate, "a lower control_rate or a shorter duration")
         count = max(1, round(duration * rate))
@@ -67,14 +67,14 @@ class Timeline:
             phase_names=(name,),
         )
 
-    def until(self, count: int) -> Timeline:
+    def until(self, count: int) -> ContactTimeline:
         """The first ``count`` ticks."""
         rows = {name: getattr(self, name)[:count] for name in ("t", "active", "phase", "source")}
         return replace(self, **rows)
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReferenceTrajectory(Timeline):
+class ReferenceTrajectory(ContactTimeline):
     """A plan at the starts of n periods of the controller.
 
     Args:

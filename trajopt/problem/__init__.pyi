@@ -1,8 +1,8 @@
 from .catalogue import families as families
 from .catalogue import load as load
-from .contact_motion import ContactMotion as ContactMotion
-from .contact_motion import Stance as Stance
-from .contact_motion import stepped_posture as stepped_posture
+from .contact_paths import ContactPaths as ContactPaths
+from .contact_paths import Stance as Stance
+from .contact_paths import stepped_posture as stepped_posture
 from .family import Choice as Choice
 from .family import Family as Family
 from .family import Parameter as Parameter

@@ -13,7 +13,7 @@ from trajopt.arguments import checked
 from trajopt.dynamics.base_joint import BASE_POSITION
 from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.pickling import picklable
-from trajopt.problem.contact_motion import SAME_TIME, ContactMotion, RememberedMotion, Stance, stances_of
+from trajopt.problem.contact_paths import SAME_TIME, ContactPaths, RememberedMotion, Stance, stances_of
 from trajopt.problem.periodicity import Periodicity
 from trajopt.robot.kinematics import contact_poses, contact_targets, frame_pose, inverse_kinematics
 from trajopt.robot.robot import Robot
@@ -113,7 +113,7 @@ def posture_guess(
             robot=robot,
             schedule=schedule,
             path=PosturePath(model=robot.model, postures=postures, durations=durations),
-            contacts=ContactMotion(
+            contacts=ContactPaths(
                 stances={name: tuple(stances(name)) for name in poses[0]}, clearance=0.0, swing=swing
             ),
             swinging=swinging,
@@ -173,7 +173,7 @@ class GuidedMotion:
     robot: Robot
     schedule: Schedule
     path: PosturePath
-    contacts: ContactMotion
+    contacts: ContactPaths
     swinging: Sequence[str]
 
     def __call__(self, t: float) -> np.ndarray:
@@ -241,7 +241,7 @@ def _guided(robot: Robot, schedule: Schedule, terrain: Terrain, path: PosturePat
     return GuidedMotion(robot=robot, schedule=schedule, path=path, contacts=contacts, swinging=swinging)
 
 
-def _contacts(robot: Robot, schedule: Schedule, terrain: Terrain, path: PosturePath) -> ContactMotion:
+def _contacts(robot: Robot, schedule: Schedule, terrain: Terrain, path: PosturePath) -> ContactPaths:
     """Contacts that stand at some time: they land on the ground below the path, or end in the air on it."""
 
     def stances(name: str) -> Iterator[Stance]:
@@ -256,14 +256,14 @@ def _contacts(robot: Robot, schedule: Schedule, terrain: Terrain, path: PostureP
             yield Stance(begin=schedule.duration, end=schedule.duration, pose=last)
 
     used = {name for phase in schedule.phases for name in phase.contacts}
-    return ContactMotion(
+    return ContactPaths(
         stances={c.name: tuple(stances(c.name)) for c in robot.contacts if c.name in used},
         clearance=SWING * robot.length,
     )
 
 
 def _reaching(
-    robot: Robot, q: np.ndarray, contacts: ContactMotion, time: float, targets: Sequence[Target]
+    robot: Robot, q: np.ndarray, contacts: ContactPaths, time: float, targets: Sequence[Target]
 ) -> np.ndarray:
     """Posture (nq,) near ``q`` with frames at their goals, and the contacts of that time where they stand.
 

@@ -12,7 +12,7 @@ from trajopt.arguments import checked
 from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
 from trajopt.errors import InputError
 from trajopt.kinds import ArrayShape
-from trajopt.problem.contact_motion import SAME_TIME
+from trajopt.problem.contact_paths import SAME_TIME
 from trajopt.schedule.schedule import Schedule
 
 # An array (3,).

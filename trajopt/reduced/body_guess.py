@@ -12,7 +12,7 @@ from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.errors import InputError
 from trajopt.motion.configurations import SolutionMotion
 from trajopt.motion.solution import Solution
-from trajopt.problem.contact_motion import ContactMotion, RememberedMotion
+from trajopt.problem.contact_paths import ContactPaths, RememberedMotion
 from trajopt.problem.problem import Problem
 from trajopt.reduced.base_path import flights, turn_to_heading
 from trajopt.reduced.com_program import CenterOfMassProgram
@@ -78,7 +78,7 @@ def guess_from_srb(problem: Problem, solution: Solution, *, clearance: float = D
         LeggedPosture(
             robot=robot,
             base=BasePath(solution, durations),
-            contacts=footholds_of(problem).contact_motion(feet, clearance),
+            contacts=footholds_of(problem).contact_paths(feet, clearance),
             flights=flights(problem.schedule),
             terrain=problem.terrain,
         )
@@ -93,7 +93,7 @@ class WalkPosture:
     """
 
     robot: Robot
-    feet: ContactMotion
+    feet: ContactPaths
     motion: ComMotion
     q: np.ndarray
     data: pin.Data = field(init=False)
@@ -156,6 +156,6 @@ def guess_from_lip(
             com_start=com[:2],
             shrink=MARGIN,
         ).solve()
-    feet = plan.contact_motion(feet_of(robot, start), clearance)
+    feet = plan.contact_paths(feet_of(robot, start), clearance)
     posture = WalkPosture(robot=robot, feet=feet, motion=motion, q=start)
     return RememberedMotion(posture)

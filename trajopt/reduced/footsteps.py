@@ -13,7 +13,7 @@ import pinocchio as pin
 from trajopt.arguments import Positive, checked
 from trajopt.errors import InputError
 from trajopt.kinds import ArrayShape, Range
-from trajopt.problem.contact_motion import ContactMotion, Stance, stances_of
+from trajopt.problem.contact_paths import ContactPaths, Stance, stances_of
 from trajopt.robot.kinematics import contact_poses
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Phase, Schedule
@@ -91,7 +91,7 @@ class FootstepPlan:
             before = support.feet
         return Schedule(tuple(phases))
 
-    def contact_motion(self, start: Mapping[str, Foothold], clearance: float) -> ContactMotion:
+    def contact_paths(self, start: Mapping[str, Foothold], clearance: float) -> ContactPaths:
         """Return the feet over time, with swings of height ``clearance`` m.
 
         Before its first support a foot is where ``start`` has it, by contact name. Raises InputError for a
@@ -105,7 +105,7 @@ class FootstepPlan:
 
             return stances_of(schedule, name, first[name].pose, landing)
 
-        return ContactMotion(stances={name: tuple(stances(name)) for name in first}, clearance=clearance)
+        return ContactPaths(stances={name: tuple(stances(name)) for name in first}, clearance=clearance)
 
 
 def support_vertices(robot: Robot, support: StepPhase, shrink: float = 0.0) -> np.ndarray:

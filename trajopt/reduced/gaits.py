@@ -15,7 +15,7 @@ import pinocchio as pin
 from trajopt.arguments import checked
 from trajopt.dynamics.model_quantities import contact_jacobian, gravity_of
 from trajopt.errors import InputError
-from trajopt.problem.contact_motion import SAME_TIME
+from trajopt.problem.contact_paths import SAME_TIME
 from trajopt.reduced.base_path import (
     BaseWaypoint,
     WaypointPath,

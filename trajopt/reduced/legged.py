@@ -11,9 +11,9 @@ import pinocchio as pin
 from trajopt.arguments import checked
 from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.pickling import picklable
-from trajopt.problem.contact_motion import (
+from trajopt.problem.contact_paths import (
     SAME_TIME,
-    ContactMotion,
+    ContactPaths,
     RememberedMotion,
     Stance,
     blended,
@@ -65,7 +65,7 @@ class LeggedPosture:
 
     robot: Robot
     base: BaseMotion
-    contacts: ContactMotion
+    contacts: ContactPaths
     flights: Sequence[tuple[float, float]]
     terrain: Terrain = field(default_factory=FlatGround)
     tuck: float = 0.0
@@ -220,7 +220,7 @@ def legged_guess(
         LeggedPosture(
             robot=robot,
             base=path,
-            contacts=ContactMotion(stances=stances, clearance=lift, swing=swing),
+            contacts=ContactPaths(stances=stances, clearance=lift, swing=swing),
             flights=flights(schedule),
             terrain=ground,
             tuck=tuck,

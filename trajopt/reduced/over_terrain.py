@@ -13,7 +13,7 @@ import pinocchio as pin
 from trajopt.arguments import checked
 from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.errors import InputError
-from trajopt.problem.contact_motion import Stance
+from trajopt.problem.contact_paths import Stance
 from trajopt.reduced.base_path import BaseWaypoint, WaypointPath, flights, turn_to_heading
 from trajopt.reduced.gaits import Pace, base_pose, gait_path, with_footholds
 from trajopt.reduced.legged import dropped_onto, legged_guess, stances_under

@@ -22,7 +22,7 @@ from trajopt.dynamics.model_quantities import joints_of_rows
 from trajopt.errors import InputError
 from trajopt.motion.solution import Solution
 from trajopt.motion.statistics import SolveStatistics
-from trajopt.problem.contact_motion import ContactMotion
+from trajopt.problem.contact_paths import ContactPaths
 from trajopt.problem.problem import Problem
 from trajopt.reduced.body_guess import guess_from_lip
 from trajopt.reduced.footsteps import Walk, feet_of
@@ -152,7 +152,7 @@ def _walk_plan(robot: Robot, walk: Walk, crouch: float, clearance: float, fricti
         terms=(),
         parameters={**asdict(walk), "crouch": crouch, "clearance": clearance, "friction": friction},
     )
-    return _Samples(problem, plan.contact_motion(feet, clearance)).solution()
+    return _Samples(problem, plan.contact_paths(feet, clearance)).solution()
 
 
 def _crouched(robot: Robot, crouch: float) -> np.ndarray:
@@ -173,7 +173,7 @@ def _crouched(robot: Robot, crouch: float) -> np.ndarray:
 class _Samples:
     """Samples of a walk, phase by phase: each interval has two nodes and a midpoint."""
 
-    def __init__(self, problem: Problem, feet: ContactMotion) -> None:
+    def __init__(self, problem: Problem, feet: ContactPaths) -> None:
         self.problem, self.robot, self.feet = problem, problem.robot, feet
         self.units = units = NaturalUnits.of(self.robot.model)
         self.step = DIFFERENCE * units.time

@@ -15,7 +15,7 @@ from trajopt.arguments import Positive, checked
 from trajopt.collision import Obstacle
 from trajopt.control.mpc.arm import ArmController, ArmSettings, ToolTarget
 from trajopt.control.mpc.commands import unreadable
-from trajopt.control.reference import Timeline
+from trajopt.control.reference import ContactTimeline
 from trajopt.errors import InputError, shown
 from trajopt.kinds import ArrayShape
 from trajopt.motion.solution import Solution
@@ -94,7 +94,7 @@ class ArmDrive:
     """
 
     scene: Scene
-    timeline: Timeline
+    timeline: ContactTimeline
     record: SimulationRecord
     target: np.ndarray
     report: ArmDriveReport

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.collision.shapes import Obstacle
-from trajopt.control.reference import Timeline
+from trajopt.control.reference import ContactTimeline
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError, TrajoptError
 from trajopt.inspection.standing import standing_feet
@@ -78,7 +78,7 @@ class DrivenScene:
         simulated = _simulated(robot, ground, obstacles)
         require_fitting(settings, simulated.model, simulated.description.frames)
         standing = np.array([contact in stands for contact in robot.contacts], dtype=bool)
-        self.timeline = Timeline.of_one_phase("drive", settings.control_rate, duration, standing)
+        self.timeline = ContactTimeline.of_one_phase("drive", settings.control_rate, duration, standing)
         require_within(settings, self.timeline)
         with muted_mujoco():
             site = Site.at_rest(simulated, q, np.flatnonzero(standing).tolist())

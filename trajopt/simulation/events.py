@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from trajopt.control.reference import Timeline
+from trajopt.control.reference import ContactTimeline
 from trajopt.dynamics.base_joint import BASE_JOINT
 from trajopt.robot.mujoco_package import mujoco_package
 from trajopt.simulation.bodies import body_name, write_inertias
@@ -33,7 +33,7 @@ class Events:
         impulses: impulses on the base; others may be set at any time.
     """
 
-    def __init__(self, scene: Scene, timeline: Timeline, settings: SimulationSettings) -> None:
+    def __init__(self, scene: Scene, timeline: ContactTimeline, settings: SimulationSettings) -> None:
         self._scene, self._timeline, self._push = scene, timeline, settings.push
         self._reweighed = settings.mass_scale != 1.0 or any(settings.com_offset)
         self.impulses: tuple[Impulse, ...] = settings.impulses

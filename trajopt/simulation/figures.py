@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pinocchio as pin
 
-from trajopt.control.reference import ReferenceTrajectory, Timeline
+from trajopt.control.reference import ContactTimeline, ReferenceTrajectory
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.motion.arrays import rows_of
 from trajopt.motion.quantities import MotionQuantities
@@ -204,7 +204,7 @@ class FallTest:
         return cls(scene=scene, height=height)
 
     def first(
-        self, record: SimulationRecord, timeline: Timeline, rows: slice, wanted: np.ndarray
+        self, record: SimulationRecord, timeline: ContactTimeline, rows: slice, wanted: np.ndarray
     ) -> Fall | None:
         """The first fall in some rows of a record, where the robot should be at ``wanted`` (n, nq)."""
         t, robot, falls = timeline.t[rows], self.scene.robot, []

@@ -18,7 +18,7 @@ from trajopt.control.inverse_dynamics import RELAXED
 from trajopt.control.mpc.commands import STAND, Command, CommandScript
 from trajopt.control.mpc.controller import Controller
 from trajopt.control.mpc.receding import ControllerSettings
-from trajopt.control.reference import Timeline
+from trajopt.control.reference import ContactTimeline
 from trajopt.errors import InputError, not_among
 from trajopt.motion.solution import Solution
 from trajopt.robot.robot import Robot
@@ -63,13 +63,13 @@ class DrivenMotion:
     controller: Controller
     settings: SimulationSettings
     scene: Scene
-    timeline: Timeline
+    timeline: ContactTimeline
     record: SimulationRecord
     report: DriveReport
 
     @classmethod
     def of(
-        cls, driven: DrivenScene, steering: Steering, script: CommandScript, timeline: Timeline
+        cls, driven: DrivenScene, steering: Steering, script: CommandScript, timeline: ContactTimeline
     ) -> DrivenMotion:
         """The record of a simulation, in which ``steering`` followed a script; ``timeline`` has its ticks."""
         record = driven.recorded()
@@ -206,7 +206,7 @@ def base_velocity(scene: Scene, record: SimulationRecord) -> np.ndarray:
 def _report(
     steering: Steering,
     script: CommandScript,
-    timeline: Timeline,
+    timeline: ContactTimeline,
     record: SimulationRecord,
     fall: Fall | None,
     velocity: np.ndarray,

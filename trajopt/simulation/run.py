@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajopt.control.limits import limits_with_drives
-from trajopt.control.reference import Timeline
+from trajopt.control.reference import ContactTimeline
 from trajopt.control.tracker import Tracker
 from trajopt.errors import InputError
 from trajopt.robot.mujoco_package import mujoco_package
@@ -63,7 +63,7 @@ class SimulationRun:
     def __init__(
         self,
         scene: Scene,
-        timeline: Timeline,
+        timeline: ContactTimeline,
         controller: TorqueController,
         start: Start,
         settings: SimulationSettings,

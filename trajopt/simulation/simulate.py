@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from trajopt.arguments import checked
 from trajopt.control.gains import TrackerGains
-from trajopt.control.reference import ReferenceTrajectory, Timeline, reference_of
+from trajopt.control.reference import ContactTimeline, ReferenceTrajectory, reference_of
 from trajopt.control.tracker import Tracker
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.errors import InputError, not_among
@@ -147,7 +147,7 @@ def require_fitting(settings: SimulationSettings, model: pin.Model, frames: Sequ
             raise not_among(frames, name, f"ground_offsets of SimulationSettings for '{name}'")
 
 
-def require_within(settings: SimulationSettings, timeline: Timeline) -> None:
+def require_within(settings: SimulationSettings, timeline: ContactTimeline) -> None:
     """Raise `InputError` for an impulse that starts after the simulation."""
     last = timeline.period * (len(timeline.t) - 1)
     for impulse in settings.impulses:

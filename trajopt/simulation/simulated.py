@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from trajopt.control.reference import Timeline
+from trajopt.control.reference import ContactTimeline
 from trajopt.motion.arrays import rows_of
 from trajopt.motion.description import PlanDescription
 from trajopt.motion.solution import Solution
@@ -43,7 +43,7 @@ class MotionReport(Protocol):
 
 def simulated_solution(
     scene: Scene,
-    timeline: Timeline,
+    timeline: ContactTimeline,
     record: SimulationRecord,
     report: MotionReport | None,
     planned: SolveStatistics | None = None,
@@ -107,7 +107,7 @@ def _chunks(phase: np.ndarray) -> list[tuple[int, int]]:
 
 
 def _active(
-    scene: Scene, timeline: Timeline, record: SimulationRecord, chunks: list[tuple[int, int]]
+    scene: Scene, timeline: ContactTimeline, record: SimulationRecord, chunks: list[tuple[int, int]]
 ) -> np.ndarray:
     """Whether each contact is active (intervals, nc)."""
     loaded, held = loaded_contacts(record, scene), scene.site.held
@@ -121,7 +121,7 @@ def _active(
     return np.array(by_interval)
 
 
-def _description(scene: Scene, timeline: Timeline, phase: np.ndarray) -> PlanDescription:
+def _description(scene: Scene, timeline: ContactTimeline, phase: np.ndarray) -> PlanDescription:
     """The robot's description with the simulated phases (n_chunks,): not periodic, feet rolling as here."""
     used = int(phase[-1]) + 1
     source = [int(timeline.source[np.argmax(timeline.phase == i)]) for i in range(used)]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajopt.solvers.elastic import CLEAR_VIOLATION, ElasticPoint
-from trajopt.transcription.names import NlpNames, Site
+from trajopt.transcription.names import NlpNames, StagePoint
 from trajopt.transcription.nlp import Nlp
 from trajopt.transcription.transcription import Transcription
 
@@ -83,7 +83,7 @@ def members_against(names: NlpNames, give: np.ndarray, weights: np.ndarray) -> t
     ``give`` is as in `members_giving`; ``weights`` (n_rows + n_unknowns,) are multipliers of rows and bounds.
     """
     giving = {names.block(row) for row in np.flatnonzero(give).tolist()}
-    entries_of: dict[tuple[str, str], list[tuple[float, Site]]] = {}
+    entries_of: dict[tuple[str, str], list[tuple[float, StagePoint]]] = {}
     for index in np.flatnonzero(np.abs(weights) > NOISE).tolist():
         if names.block(index) not in (*MOTION, *giving):
             name = names.row(index)

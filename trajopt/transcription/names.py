@@ -31,7 +31,7 @@ MOST_UNKNOWNS, MAIN_SHARE = 2, 0.8
 
 
 @dataclass(frozen=True, kw_only=True, order=True)
-class Site:
+class StagePoint:
     """A place: ``stage`` is the index of the node or interval, ``point`` that of the point (-1 at a node)."""
 
     stage: int
@@ -44,7 +44,7 @@ class RowName:
 
     block: str
     about: str
-    site: Site
+    site: StagePoint
 
     @property
     def what(self) -> str:
@@ -88,7 +88,7 @@ class NlpNames:
         """Name of a stage's phase."""
         return self.layout.schedule.phases[self.phase_index(stage)].name
 
-    def time(self, site: Site, times: np.ndarray | None = None) -> float:
+    def time(self, site: StagePoint, times: np.ndarray | None = None) -> float:
         """Time of a place in s, with the nodes at ``times`` (n_stages + 1,), by default those at ``x``."""
         nodes = self.times if times is None else times
         start = float(nodes[site.stage])
@@ -97,7 +97,7 @@ class NlpNames:
         fraction = float(self.layout.scheme_of(self.phase_index(site.stage)).c[site.point])
         return start + fraction * (float(nodes[site.stage + 1]) - start)
 
-    def place(self, site: Site) -> str:
+    def place(self, site: StagePoint) -> str:
         """A place in words: ``node 12, t = 0.310 s, phase 'flight'``, or ``interval 12, point 0, ...``."""
         where = f"node {site.stage}"
         if site.point >= 0:
@@ -126,18 +126,18 @@ class NlpNames:
         return [label for label, _ in self._unknowns]
 
     @cached_property
-    def unknown_sites(self) -> list[Site]:
+    def unknown_sites(self) -> list[StagePoint]:
         """Place of every variable."""
         return [site for _, site in self._unknowns]
 
     @cached_property
-    def _unknowns(self) -> list[tuple[Label, Site]]:
+    def _unknowns(self) -> list[tuple[Label, StagePoint]]:
         layout = self.layout
-        nothing = (Label(owner="", kind="", quantity=""), Site(stage=0, point=-1))
+        nothing = (Label(owner="", kind="", quantity=""), StagePoint(stage=0, point=-1))
         names = [nothing] * layout.n_unknowns
         every = np.arange(layout.n_unknowns)
         for k, form in enumerate(layout.forms):
-            site = Site(stage=k, point=-1)
+            site = StagePoint(stage=k, point=-1)
             _put(names, every[layout.node(k)], node_labels(form, self.free_phases), site)
             if k == layout.n_stages:
                 break
@@ -151,25 +151,25 @@ class NlpNames:
                 self._name_interval(names, window, k)
         return names
 
-    def _name_interval(self, names: list[tuple[Label, Site]], window: np.ndarray, k: int) -> None:
+    def _name_interval(self, names: list[tuple[Label, StagePoint]], window: np.ndarray, k: int) -> None:
         layout, form = self.layout, self.layout.forms[k]
         phase = layout.stages[k].phase
         kind = "acceleration" if layout.order == 2 else "rate"
         labels = coordinate_labels(form.robot, form.coordinates, kind)
         forces = _wrenches(layout.contacts[phase], "force", "moment")
         for i in range(layout.scheme_of(phase).s):
-            site = Site(stage=k, point=i)
+            site = StagePoint(stage=k, point=i)
             _put(names, window[layout.local_derivative(phase, i)], labels, site)
             _put(names, window[layout.local_wrench(phase, i)], forces, site)
 
     # Rows
 
     @cached_property
-    def sites(self) -> list[Site]:
+    def sites(self) -> list[StagePoint]:
         """Place of every row, then of every variable."""
         rows = self.transcription.rows
         pairs = zip(rows.stage.tolist(), rows.point.tolist(), strict=True)
-        return [*(Site(stage=stage, point=point) for stage, point in pairs), *self.unknown_sites]
+        return [*(StagePoint(stage=stage, point=point) for stage, point in pairs), *self.unknown_sites]
 
     @cached_property
     def row_numbers(self) -> list[int]:
@@ -218,7 +218,7 @@ class NlpNames:
                 return "mostly " + "; ".join(largest[:count])
         return ""
 
-    def _subjects_at(self, site: Site) -> dict[str, list[str]]:
+    def _subjects_at(self, site: StagePoint) -> dict[str, list[str]]:
         """Subjects, by block, of the rows at a point, or at an impact followed by those at its node."""
         layout, k = self.layout, site.stage
         if site.point >= 0:
@@ -277,7 +277,9 @@ class NlpNames:
         return {block: _with_numbers(subjects) for block, subjects in columns.items()}
 
 
-def _put(names: list[tuple[Label, Site]], indices: np.ndarray, labels: Iterable[Label], site: Site) -> None:
+def _put(
+    names: list[tuple[Label, StagePoint]], indices: np.ndarray, labels: Iterable[Label], site: StagePoint
+) -> None:
     for index, label in zip(indices.tolist(), labels, strict=True):
         names[index] = (label, site)
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from trajopt.arguments import checked
 from trajopt.errors import InputError, finite_array
 from trajopt.problem.problem import Problem
-from trajopt.reduced.scenes.smallest_scene import Plane, Scene, smallest
+from trajopt.reduced.scenes.smallest_scene import Plane, SmallestScene, smallest
 from trajopt.robot.contact import require_frame
 from trajopt.robot.robot import Robot
 from trajopt.schedule.placing import footholds_at
@@ -48,7 +48,7 @@ def scene(
     name: str = "scene",
     keep: Sequence[str] = (),
     plane: Plane = "auto",
-) -> Scene:
+) -> SmallestScene:
     """Return the smallest problem that takes ``robot`` through ``schedule`` to its ``goals``.
 
     The problem always has the robot's effort limits (those of its drives, if it has any), velocity and

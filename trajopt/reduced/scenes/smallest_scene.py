@@ -160,7 +160,7 @@ def _direct_joints(problem: Problem, instance: TermInstance) -> list[str]:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Scene:
+class SmallestScene:
     """A task and the smallest problem found for it.
 
     Args:
@@ -224,7 +224,7 @@ def smallest(
     transcription: str | None = None,
     intervals: int | None = None,
     mesh: Mesh | None = None,
-) -> Scene:
+) -> SmallestScene:
     """Return the smallest problem with the same task as ``problem``, without solving anything.
 
     Args:
@@ -261,7 +261,7 @@ class _Smallest:
         self.steps: list[tuple[Decision, Problem | None]] = []
         self.reduction = lock_joints(problem.robot, (), problem.initial_q)
 
-    def build(self, lock: tuple[str, ...], soles: bool, torques: bool) -> Scene:
+    def build(self, lock: tuple[str, ...], soles: bool, torques: bool) -> SmallestScene:
         self.drop_idle_costs()
         merged = self.merge_corners() if soles else None
         self.needs = needed_joints(self.whole, self.keep)
@@ -277,7 +277,7 @@ class _Smallest:
         if not torques:
             self.drop_torques()
         self.steps += ((remark, None) for remark in remarks(self.problem, self.whole, self.mesh))
-        return Scene(
+        return SmallestScene(
             original=self.original,
             problem=self.problem,
             reduction=self.reduction,

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajopt.solving.diagnosis.snapshot import Snapshot
-from trajopt.transcription.names import NlpNames, Site
+from trajopt.transcription.names import NlpNames, StagePoint
 
 SIDES = {-1: "lower", 1: "upper"}
 
@@ -92,7 +92,7 @@ def _limit(
     )
 
 
-def _share(names: NlpNames, site: Site) -> float:
+def _share(names: NlpNames, site: StagePoint) -> float:
     """Return the time that a point represents, s: its quadrature weight; 0 for a node."""
     if site.point < 0:
         return 0.0

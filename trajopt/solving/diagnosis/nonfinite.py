@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from trajopt.terms.context_symbols import Place
-from trajopt.transcription.names import NlpNames, Site
+from trajopt.transcription.names import NlpNames, StagePoint
 from trajopt.transcription.nlp import Nlp
 from trajopt.transcription.stage_functions import Derivatives, PointFunction, point_function
 from trajopt.transcription.symbols import (
@@ -25,7 +25,7 @@ Evaluation = Callable[[np.ndarray], np.ndarray]
 
 
 def nonfinite_terms(
-    names: NlpNames, site: Site, form: NodeLayout, place: Place, inputs: np.ndarray
+    names: NlpNames, site: StagePoint, form: NodeLayout, place: Place, inputs: np.ndarray
 ) -> list[tuple[str, Evaluation]]:
     """Return the terms with non-finite values at z = ``inputs``, with their functions.
 
@@ -66,7 +66,7 @@ def derivative_function(function: PointFunction, parameters: np.ndarray) -> Eval
 
 
 def _terms(
-    names: NlpNames, site: Site, form: NodeLayout, place: Place
+    names: NlpNames, site: StagePoint, form: NodeLayout, place: Place
 ) -> Iterator[tuple[str, PointFunction, np.ndarray]]:
     """Yield name, function and parameter values of every term that acts at a place."""
     layout, k = names.layout, site.stage
@@ -137,7 +137,7 @@ class _Where:
 
     group: FunctionGroup
     position: int
-    site: Site
+    site: StagePoint
     form: NodeLayout
     place: Place | None
     labels: Sequence[Label]
@@ -174,7 +174,7 @@ def first_nonfinite(nlp: Nlp, names: NlpNames, x: np.ndarray) -> NonFinite | Non
     )
 
 
-def _at(names: NlpNames, site: Site) -> dict[str, Any]:
+def _at(names: NlpNames, site: StagePoint) -> dict[str, Any]:
     return {
         "phase": names.phase(site.stage),
         "node": site.stage,
@@ -213,7 +213,7 @@ def _where(t: Transcription, names: NlpNames, number: int, position: int) -> _Wh
     return _Where(
         group=group,
         position=position,
-        site=Site(stage=k, point=point),
+        site=StagePoint(stage=k, point=point),
         form=form,
         place=place,
         labels=_labels(t, names, group, k, place),

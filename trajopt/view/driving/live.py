@@ -100,7 +100,7 @@ class LiveDrive:
         *,
         seconds: float | None = None,
         exit_with_page: bool = False,
-        leaving: Callable[[], bool] = bool,
+        leaving: Callable[[], bool] | None = None,
     ) -> None:
         """Drive until ``leaving()``, which is checked every 20 ms, or for ``seconds`` of simulated time.
 
@@ -108,7 +108,7 @@ class LiveDrive:
         ``exit_with_page``, it ends `SILENCE` s after the last message of the page.
         """
         session, driven, turns = self.session, self.session.driven, 0
-        while not (leaving() or (exit_with_page and session.silent)):
+        while not ((leaving is not None and leaving()) or (exit_with_page and session.silent)):
             if seconds is not None and (driven.passed >= seconds - LEAST or driven.fall is not None):
                 return
             session.turn()

@@ -42,7 +42,7 @@ class Stance:
 
 @checked
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ContactMotion:
+class ContactPaths:
     """Poses of contacts over time: at rest in a stance, then in a smooth swing to the next one.
 
     Before its first stance and after its last one, a contact is where that has it.
