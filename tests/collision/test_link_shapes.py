@@ -372,7 +372,7 @@ def test_flat_hull_has_distances_and_depths():
 
 BAD = {
     "no points": (lambda: LinkShape(name="s", frame="a", points=np.zeros((0, 3)), radius=0.1), "points of"),
-    "flat": (lambda: LinkShape(name="s", frame="a", points=np.zeros((3, 2))), r"\(3, 2\)"),
+    "flat": (lambda: LinkShape(name="s", frame="a", points=np.zeros((3, 2))), r"\(n, 3\)"),
     "nan": (lambda: LinkShape(name="s", frame="a", points=[[0, 0, np.nan]], radius=1.0), "finite"),
     "point": (lambda: LinkShape(name="s", frame="a", points=[[0, 0, 0]]), "radius of shape 's'"),
     "negative": (lambda: LinkShape(name="s", frame="a", points=np.eye(3), radius=-1.0), "radius"),

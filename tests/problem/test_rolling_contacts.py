@@ -258,8 +258,8 @@ def test_where_balls_cannot_roll_one_line_says_so(problem, words):
 @pytest.mark.parametrize("controller", ["joints", "whole-body"])
 def test_feet_that_roll_track_plans_that_do(controller):
     held, rolls = walk("go2"), walk()
-    assert simulate(rolls).world.place.rolling.all()
-    assert not simulate(held).world.place.rolling.any()
+    assert simulate(rolls).scene.place.rolling.all()
+    assert not simulate(held).scene.place.rolling.any()
     settings = {"cycles": 3, "controller": controller, "rolling": True}
     ends = [simulate(plan, **settings).report.base_error_end for plan in (held, rolls)]
     assert ends[1] < 0.2 * ends[0]

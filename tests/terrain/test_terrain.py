@@ -71,7 +71,7 @@ BAD = {
         ),
         "z > 0",
     ),
-    "no steps": (lambda: PiecewiseTerrain.stairs(0.1, 0.3, 0), "at least 1"),
+    "no steps": (lambda: PiecewiseTerrain.stairs(0.1, 0.3, 0), ">= 1"),
     "run of nothing": (lambda: PiecewiseTerrain.stairs(0.1, 0.0, 2), "> 0"),
     "infinite box": (lambda: PiecewiseTerrain.box(np.inf, 1.0, 1.0), "finite"),
     "obstacle nowhere": (lambda: PiecewiseTerrain.gap(0.1, at=(np.nan, 0.0)), "finite"),

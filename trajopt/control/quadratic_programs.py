@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
-import piqp  # type: ignore[import-untyped]
 
 from trajopt.errors import InputError, not_among
 
@@ -141,7 +140,9 @@ class _Osqp(QuadraticSolver):
 class _Piqp(QuadraticSolver):
     def __init__(self, shape: tuple[int, int, int, int]) -> None:
         super().__init__(shape)
-        self._solver = piqp.DenseSolver()
+        import piqp  # type: ignore[import-untyped]  # only where programs are solved
+
+        self._solved, self._solver = piqp.PIQP_SOLVED, piqp.DenseSolver()
         self._solver.settings.eps_abs = EXACT
         self._solver.settings.eps_rel = EXACT
         self._solver.settings.max_iter = MOST_PIQP
@@ -167,7 +168,7 @@ class _Piqp(QuadraticSolver):
         self._pattern = pattern
         status = self._solver.solve()
         x = np.array(self._solver.result.x, dtype=float)
-        solved = status == piqp.PIQP_SOLVED and bool(np.isfinite(x).all())
+        solved = status == self._solved and bool(np.isfinite(x).all())
         return QuadraticSolution(x, solved, int(self._solver.result.info.iter))
 
 
