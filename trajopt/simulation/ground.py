@@ -49,23 +49,27 @@ class GroundGeometry:
 
 @dataclass(frozen=True, kw_only=True)
 class Surroundings:
-    """Sizes of the contacts' balls, and of the ground.
+    """Where the contacts of a site touch, and how high the ground under them is, with given settings.
 
     Args:
-        radii: radii of the planned contacts (nc,), m.
-        rolling: whether each contact rolls (nc,).
+        site: the site.
+        rolling: whether each contact (nc,) is a ball that rolls.
         offsets: by how much the ground of each contact is higher than planned (nc,), m.
-        low: lower corner (3,) of a box around the motion, m.
-        high: upper corner (3,) of this box, m.
-        reach: the robot's reach, m.
     """
 
-    radii: np.ndarray
+    site: Site
     rolling: np.ndarray
     offsets: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    reach: float
+
+    @property
+    def radii(self) -> np.ndarray:
+        """Radii (nc,) of the contacts as planned, m."""
+        return self.site.robot.description.radii
+
+    @property
+    def reach(self) -> float:
+        """The robot's reach, m."""
+        return self.site.robot.units.length
 
     @property
     def ball(self) -> float:
@@ -87,19 +91,16 @@ def surroundings_of(site: Site, settings: SimulationSettings) -> Surroundings:
     """Sizes in a scene with these settings."""
     about = site.robot.description
     return Surroundings(
-        radii=about.radii,
+        site=site,
         rolling=about.rolling if settings.rolling is None else settings.rolling & (about.radii > 0),
         offsets=np.array([settings.ground_offsets.get(name, 0.0) for name in about.frames]),
-        low=site.low,
-        high=site.high,
-        reach=site.robot.units.length,
     )
 
 
-def add_ground(spec: Any, site: Site, place: Surroundings) -> GroundGeometry:
+def add_ground(spec: Any, place: Surroundings) -> GroundGeometry:
     """Add terrain and boards to a specification; terrain for links, and for contacts at each height."""
     geoms: list[tuple[str, Surface | None, tuple[float, ...], tuple[int, ...], float | None]] = []
-    about = site.robot.description
+    site, about = place.site, place.site.robot.description
     usual = tuple(contact.friction for contact in about.contacts)
     count = len(usual)
     layers: list[tuple[str, float, tuple[int, ...], float | None]] = [("", 0.0, (), 0.0)]
@@ -177,11 +178,11 @@ def _plane(spec: Any, name: str, surface: Surface, lift: float) -> str:
 
 def _prism(spec: Any, name: str, face: Patch, lift: float, place: Surroundings) -> str:
     """Add a solid below the part of a face around the motion; returns its name, empty if there is none."""
-    corners = face.within(place.low, place.high)
+    corners = face.within(place.site.low, place.site.high)
     if len(corners) < 3:
         return ""
     top = corners + lift * face.surface.normal
-    solid = extruded(top, min(float(top[:, 2].min()), float(place.low[2])) - DEPTH * place.reach)
+    solid = extruded(top, min(float(top[:, 2].min()), float(place.site.low[2])) - DEPTH * place.reach)
     middle = solid.mean(axis=0)
     mesh = spec.add_mesh(name=name, uservert=(solid - middle).ravel())
     mesh.inertia = mujoco_package().mjtMeshInertia.mjMESH_INERTIA_CONVEX
@@ -190,9 +191,9 @@ def _prism(spec: Any, name: str, face: Patch, lift: float, place: Surroundings) 
 
 def _field(spec: Any, name: str, terrain: SmoothTerrain, lift: float, place: Surroundings) -> str:
     """Add smooth ground as a height field around the motion."""
-    span = (place.high - place.low)[:2]
+    span = (place.site.high - place.site.low)[:2]
     cells = np.minimum(np.ceil(span / (CELL * place.reach)).astype(int), MOST_CELLS)
-    x, y = (np.linspace(place.low[i], place.high[i], cells[i] + 1) for i in (0, 1))
+    x, y = (np.linspace(place.site.low[i], place.site.high[i], cells[i] + 1) for i in (0, 1))
     across, along = np.meshgrid(x, y)  # rows go along y, as MuJoCo has it
     normal = terrain.normal(across, along)
     height = terrain.height(across, along) + lift / normal[..., 2]
@@ -204,7 +205,7 @@ def _field(spec: Any, name: str, terrain: SmoothTerrain, lift: float, place: Sur
         size=[span[0] / 2, span[1] / 2, tall, DEPTH * place.reach],
         userdata=((height - low) / tall).ravel(),
     )
-    middle = [*(place.low[:2] + span / 2), low]
+    middle = [*(place.site.low[:2] + span / 2), low]
     return add_geom(spec.worldbody, name, "hfield", hfieldname=name, pos=middle)
 
 

@@ -53,11 +53,10 @@ class Scene:
     """A robot on its site as a MuJoCo model, with the indices that a simulation needs.
 
     Args:
-        site: the robot, and what it touches in each phase.
         bodies: the model as specified.
         compiled: the compiled model.
         coordinates: map of the coordinates.
-        place: sizes of contacts and ground.
+        place: the site, with sizes of contacts and ground.
         sites: ids (nc,) of the contact frames' sites.
         contact_of: for each geom, the contact to which it belongs, or -1.
         links: whether each geom belongs to a link.
@@ -68,7 +67,6 @@ class Scene:
         friction: friction (phases, n) of these pairs, see `GroundGeometry`.
     """
 
-    site: Site
     bodies: Bodies
     compiled: Any
     coordinates: CoordinateMap
@@ -81,6 +79,11 @@ class Scene:
     models: tuple[pin.Model, ...]
     pairs: np.ndarray
     friction: np.ndarray
+
+    @property
+    def site(self) -> Site:
+        """The robot, and what it touches in each phase."""
+        return self.place.site
 
     @property
     def robot(self) -> SceneRobot:
@@ -102,10 +105,10 @@ def build_scene(site: Site, settings: SimulationSettings) -> Scene:
     """Compile a scene with these settings. Raises `InputError` for what MuJoCo cannot express."""
     robot, place = site.robot, surroundings_of(site, settings)
     bodies, units = build_bodies(robot.model), robot.units
-    ground = add_ground(bodies.spec, site, place)
+    ground = add_ground(bodies.spec, place)
     feet = _add_feet(bodies, robot, place)
     _add_mimics(bodies, robot)
-    links, capsules, obstacles = _add_links(bodies, site, place)
+    links, capsules, obstacles = _add_links(bodies, place)
     _add_grasps(bodies, site.grasps, _stiffness(settings, units))
     _options(bodies.spec, settings.step(units.time))
     offsets = _offsets_of_links(bodies, links, robot, place)
@@ -119,7 +122,6 @@ def build_scene(site: Site, settings: SimulationSettings) -> Scene:
     geoms = [compiled.geom(i).name for i in range(compiled.ngeom)]
     extents = [_extent(contact) for contact in robot.description.contacts]
     return Scene(
-        site=site,
         bodies=bodies,
         compiled=compiled,
         coordinates=coordinates,
@@ -214,19 +216,19 @@ def _add_feet(bodies: Bodies, robot: SceneRobot, place: Surroundings) -> list[li
     return names
 
 
-def _add_links(bodies: Bodies, site: Site, place: Surroundings) -> tuple[list[str], list[str], list[str]]:
+def _add_links(bodies: Bodies, place: Surroundings) -> tuple[list[str], list[str], list[str]]:
     """Add geoms of links and obstacles; returns their names in three groups.
 
     The groups are links that touch the ground, links that touch obstacles, and obstacles. Links have the
     shapes of the description; without them, balls at the joints and the capsules of older files.
     """
-    robot = site.robot
+    site, robot = place.site, place.site.robot
     scene, known = robot.description.capsule_scene(robot.model), robot.description.bodies
     obstacles = () if scene is None else add_obstacles(bodies.spec, scene.obstacles)
     if known is None or not known.shapes:
         shapes = () if scene is None else scene.shapes
         solid = [add_shape(bodies, shape, f"shape{i}") for i, shape in enumerate(shapes)]
-        return _add_balls(bodies, site, place), solid, list(obstacles)
+        return _add_balls(bodies, place), solid, list(obstacles)
     body_scene = robot.description.body_scene(robot.model)
     moving = () if body_scene is None else body_scene.moving
     names = {shape.name: add_shape(bodies, shape, f"shape{i}") for i, shape in enumerate(moving)}
@@ -248,9 +250,9 @@ def _offsets_of_links(
     return {link: of_bodies[bodies.spec.geom(link).parent.name] for link in links}
 
 
-def _add_balls(bodies: Bodies, site: Site, place: Surroundings) -> list[str]:
+def _add_balls(bodies: Bodies, place: Surroundings) -> list[str]:
     """Add balls at the joints of a robot with a moving base; returns their names."""
-    model = site.robot.model
+    site, model = place.site, place.site.robot.model
     if site.robot.base == "fixed":
         return []
     joints = [i for i in range(1, model.njoints) if model.names[i] not in site.buried]

@@ -125,7 +125,7 @@ def dataset(folder: str | Path) -> BatchDataset:
     """Load the batch in a folder, even while it runs.
 
     Args:
-        folder: of `trajopt.batch` or ``trajopt batch --out``.
+        folder: of `trajopt.batch` or of the command ``trajopt batch``.
 
     Raises:
         InputError: for a folder without a batch, or without PyArrow.
