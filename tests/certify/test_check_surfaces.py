@@ -28,6 +28,20 @@ SLOPE, FRICTION = 0.3, 0.5
 POINT = np.array([0.2, 0.1, -0.5])
 
 
+def at_rest(contact: str, q: np.ndarray, wrench: np.ndarray) -> Motion:
+    """A free body that rests at q (7,) with a wrench (6,) at its contact."""
+    still = np.zeros(6)
+    return Motion(
+        duration=0.2,
+        contacts=(contact,),
+        q=lambda t: q,
+        v=lambda t: still,
+        a=lambda t: still,
+        tau=lambda t: np.zeros(0),
+        f=lambda t: wrench[None],
+    )
+
+
 def box_at(placement: pin.SE3, yaw_moment: float = 0.0) -> Solution:
     """A box that rests on its sole, placed anywhere; ``yaw_moment`` in N m about the sole's normal."""
     model = pin.Model()
@@ -40,16 +54,7 @@ def box_at(placement: pin.SE3, yaw_moment: float = 0.0) -> Solution:
     force = np.array([0.0, 0.0, MASS * GRAVITY])
     lever = placement.rotation @ [0.0, 0.0, HEIGHT]
     moment = np.cross(lever, force) + yaw_moment * placement.rotation[:, 2]
-    q, still = pin.SE3ToXYZQUAT(placement), np.zeros(6)
-    motion = Motion(
-        duration=0.2,
-        contacts=("foot",),
-        q=lambda t: q,
-        v=lambda t: still,
-        a=lambda t: still,
-        tau=lambda t: np.zeros(0),
-        f=lambda t: np.concatenate([force, moment])[None],
-    )
+    motion = at_rest("foot", pin.SE3ToXYZQUAT(placement), np.concatenate([force, moment]))
     return sampled(robot, [motion], 4, contact_sizes=[[LENGTH, WIDTH]], friction=[FRICTION])
 
 
@@ -181,18 +186,9 @@ def box_on_a_sole(offset: float) -> tuple[Robot, Motion]:
     model.addFrame(pin.Frame("sole", joint, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
     sole = Contact(frame="sole", kind="surface", half_length=0.1, half_width=0.05)
     robot = Robot.from_model(model, name="box", contacts=[sole])
-    still, weight = np.zeros(6), 2 * 9.81
-    wrench = np.array([[0.0, 0.0, weight, 0.0, -weight * offset, 0.0]])
-    q = pin.neutral(model)
-    return robot, Motion(
-        duration=0.2,
-        contacts=("sole",),
-        q=lambda t: q,
-        v=lambda t: still,
-        a=lambda t: still,
-        tau=lambda t: np.zeros(0),
-        f=lambda t: wrench,
-    )
+    weight = 2 * 9.81
+    wrench = np.array([0.0, 0.0, weight, 0.0, -weight * offset, 0.0])
+    return robot, at_rest("sole", pin.neutral(model), wrench)
 
 
 @pytest.mark.parametrize(("offset", "failures"), [(0.03, ()), (0.12, ("sole_margin", "sole_margin_between"))])
