@@ -1,6 +1,6 @@
 """Check a solution: recompute everything that it claims with numeric Pinocchio alone."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -29,6 +29,7 @@ from trajopt.motion.input import SolutionOrFile, consistent_solution
 from trajopt.motion.quantities import MotionQuantities
 from trajopt.motion.samples import largest, largest_known
 from trajopt.motion.solution import Solution
+from trajopt.motion.statistics import TermExcess
 from trajopt.motion.traces import Occurrence, Trace, Traces
 
 # Smallest scale of angular momentum, as a fraction of m l sqrt(g l) for a robot of mass m and reach l.
@@ -52,6 +53,12 @@ AT_POINTS = (
 )
 AT_SAMPLES = ("velocity_excess", "position_excess")
 BETWEEN = "_between"
+# Figures of contacts that stay in place, and of the whole-body dynamics: not judged for other dynamics.
+HELD = (
+    *("contact_acceleration", "contact_velocity", "landing_height", "penetration", "patch_margin"),
+    *("foot_drift", "stance_drift", "foot_turn", "sole_tilt"),
+)
+WHOLE_BODY = ("base_residual", "actuated_residual", "local_position", "local_joints")
 # Figures that grow along a phase: a finer mesh in the whole phase reduces them.
 DRIFTS = ("foot_drift", "stance_drift", "foot_turn")
 # Figures that a finer mesh does not reduce.
@@ -126,14 +133,36 @@ def examine(given: Solution, tolerances: Tolerances = GRADE, *, integrate: bool 
         **{name: _worst(dense.plan, trace) for name, trace in anywhere.items()},
     }
     steady = {name: trace for name, trace in anywhere.items() if name in DRIFTS}
-    moving = {name: trace for name, trace in anywhere.items() if name not in (*DRIFTS, *BODIES)}
-    return Examination(
+    unjudged = () if given.description.dynamics == "held" else HELD
+    moving = {name: t for name, t in anywhere.items() if name not in (*DRIFTS, *BODIES, *unjudged)}
+    examination = Examination(
         report=_report(motion, _quaternion_error(given), worst, phases),
         local=local,
-        broken=_largest_ratio(moving, tolerances, dense.plan.interval, motion.solution.n_intervals),
+        broken=np.maximum(
+            _largest_ratio(moving, tolerances, dense.plan.interval, motion.solution.n_intervals),
+            _term_ratios(motion.solution, tolerances),
+        ),
         drift=_largest_ratio(steady, tolerances, dense.plan.phase, len(phases)),
         motion=motion,
     )
+    return examination if given.description.dynamics == "held" else _without_contacts(examination)
+
+
+def _without_contacts(examination: Examination) -> Examination:
+    """Leave out the figures that dynamics of the problem's own do not need to meet, and say so."""
+    report, own = examination.report, examination.motion.solution.description.dynamics == "own"
+    unknown = (*HELD, *(WHOLE_BODY if own else ()))
+    notes = [*report.notes, "contacts are moved by rows of the problem's own, so their motion is not judged"]
+    if own:
+        notes.append("the dynamics are the problem's own and are not judged")
+    report = replace(
+        report,
+        **dict.fromkeys(unknown),
+        places={name: place for name, place in report.places.items() if name not in unknown},
+        phases=() if own else report.phases,
+        notes=tuple(notes),
+    )
+    return replace(examination, report=report, drift=np.zeros_like(examination.drift))
 
 
 def _worst(plan: Solution, trace: Trace) -> tuple[float, Occurrence] | None:
@@ -157,12 +186,24 @@ def _largest_ratio(traces: Traces, tolerances: Tolerances, group: np.ndarray, co
     return largest
 
 
+def _term_ratios(solution: Solution, tolerances: Tolerances) -> np.ndarray:
+    """Return the ratio (I,) to their tolerance of terms that only the solve could evaluate."""
+    stated, count = np.array(solution.statistics.excess_by_interval), solution.n_intervals
+    if tolerances.between is None or len(stated) != count:
+        return np.zeros(count)
+    return stated / tolerances.between
+
+
 def _report(
     motion: MotionQuantities,
     quaternion_error: float | None,
     worst: dict[str, tuple[float, Occurrence] | None],
     phases: tuple[PhaseReport, ...],
 ) -> CheckReport:
+    stated = motion.solution.statistics.terms_between
+    term = max(stated, key=lambda entry: entry.excess, default=None)
+    place = None if term is None else Occurrence(time=term.time, phase=term.phase, name=term.term)
+    worst["term_excess"] = None if term is None or place is None else (term.excess, place)
     return CheckReport(
         **{name: None if known is None else known[0] for name, known in worst.items()},
         **impact_figures(motion),
@@ -173,12 +214,18 @@ def _report(
         velocity_gap=motion.integration_gaps.velocity,
         **_worst_of(phases),
         phases=phases,
-        notes=motion.missing_shapes,
+        notes=(*motion.missing_shapes, *_notes_of_terms(stated)),
         places={
             **{name: known[1] for name, known in worst.items() if known is not None},
             **_places_of_phases(phases),
         },
     )
+
+
+def _notes_of_terms(stated: Sequence[TermExcess]) -> Iterator[str]:
+    if stated:
+        each = ", ".join(f"{entry.term} {entry.excess:.1e} at {entry.time:.3f} s" for entry in stated)
+        yield f"terms that the file does not contain were judged between points by the solve: {each}"
 
 
 def _worst_of(phases: tuple[PhaseReport, ...]) -> dict[str, Any]:
@@ -213,8 +260,9 @@ def _phases(motion: MotionQuantities, local: LocalErrors, integrate: bool) -> It
     for index, phase in enumerate(plan.phases):
         inside = slice(plan.intervals_of(index).start, plan.intervals_of(index).stop)
         sums = float(local.position[inside].sum()), float(local.joints[inside].sum())
-        error, integrated = None, integrate or _may_miss(sums)
-        if integrate:
+        held = plan.description.dynamics == "held"
+        error, integrated = None, held and (integrate or _may_miss(sums))
+        if integrated and integrate:
             error = open_loop(motion, index)
         elif integrated:
             error = open_loop(motion, index, ROUGH_ERROR, (STABLE_GROWTH * sums[0], STABLE_GROWTH * sums[1]))

@@ -195,9 +195,14 @@ def _run(
 
 
 def phase_dynamics(motion: MotionQuantities, row: int) -> ContactDynamics:
-    """Return the dynamics of a sample's phase, with its active contacts and payload."""
+    """Return the dynamics of a sample's phase, with its active contacts and payload.
+
+    If the planned forces are given, no contact is held.
+    """
     phase = int(motion.solution.phase[row])
-    model, held = motion.models[phase], active_contacts(motion, row)
+    model = motion.models[phase]
+    forced = motion.solution.description.dynamics != "held"
+    held = ContactSet.of(model, []) if forced else active_contacts(motion, row)
     described = motion.solution.description.surfaces
     surfaces = described[phase] if described else {}
     sliding = {

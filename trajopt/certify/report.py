@@ -175,6 +175,8 @@ class CheckReport:
         friction_margin, unilateral_margin: Least mu f_n - |f_t| and least f_n on the contact's surface; not
             for bilateral contacts, like sole_margin.
         sole_margin: Least distance of moments from the sole's limits.
+        term_excess: Largest violation of a term that only the solve could evaluate, as its statistics state
+            it; see `TermExcess`.
         sliding_friction: Largest difference between the force of a sliding contact and the law of
             `trajopt.terms.dynamics`. Acceleration, velocity and drift of such contacts are along the normal.
         effort_excess, velocity_excess: Largest |x| / limit - 1; negative is reserve.
@@ -228,6 +230,7 @@ class CheckReport:
     sliding_friction_between: float | None = _figure(
         "law of sliding friction between points", "weight", "between"
     )
+    term_excess: float | None = _figure("own terms beyond bounds between points", "unit", "between")
     inactive_force: float | None = _figure("force of inactive contacts", "weight", "residual")
     effort_excess: float | None = _figure("torque beyond its limit", "limit", "limit")
     effort_excess_between: float | None = _figure(

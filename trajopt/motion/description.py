@@ -26,6 +26,9 @@ from trajopt.terrain.surface import Surface
 from trajopt.terrain.terrain import Terrain
 
 ContactKind = Literal["point", "surface"]
+# What the dynamics of a problem are: those that hold contacts in place; whole-body dynamics with rows of the
+# problem's own in their place; or the problem's own, as of a reduced model.
+DynamicsKind = Literal["held", "forced", "own"]
 GroundShape = Surface | PiecewiseTerrain | SmoothTerrain
 
 
@@ -128,6 +131,8 @@ class PlanDescription:
         parameters: Parameters of the problem's family, JSON-able.
         contacts: (nc,) in the order of the forces.
         actuation: Control input, "torque", "acceleration" or "velocity".
+        dynamics: "held" if contacts stay in place; "forced" if rows of the problem's own move them and the
+            planned forces act; "own" for dynamics of which the check knows nothing.
         gravity: (3,) m/s^2.
         effort_limit: (nu,) N m or N, infinite where unlimited; None without limits.
         velocity_limit: (nv,) rad/s or m/s, likewise.
@@ -155,6 +160,7 @@ class PlanDescription:
     contacts: tuple[PlannedContact, ...]
     parameters: Mapping[str, Any] = field(default_factory=dict)
     actuation: str = "torque"
+    dynamics: DynamicsKind = "held"
     gravity: tuple[float, ...] | None = None
     effort_limit: np.ndarray | None = None
     velocity_limit: np.ndarray | None = None

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, fields
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast, get_args
 
 import numpy as np
 
@@ -15,11 +15,12 @@ from trajopt.kinds import RefusedError
 from trajopt.motion.description import (
     BodyMargins,
     CarriedBody,
+    DynamicsKind,
     PeriodicImage,
     PlanDescription,
     PlannedContact,
 )
-from trajopt.motion.statistics import GradedStatistics, RoundStatistics, SolveStatistics
+from trajopt.motion.statistics import GradedStatistics, RoundStatistics, SolveStatistics, TermExcess
 from trajopt.robot.actuators.actuation import Thruster
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.actuators.joint_force import JointForce
@@ -42,8 +43,8 @@ REQUIRED = (
 )
 # Keys of descriptions, then keys derived from arrays; all others belong to statistics.
 DESCRIBED = (
-    *("problem", "parameters", "robot", "actuation", "gravity", "effort_limit", "velocity_limit"),
-    *("actuated_rows", "thrusters", "joint_forces", "mimics"),
+    *("problem", "parameters", "robot", "actuation", "dynamics", "gravity"),
+    *("effort_limit", "velocity_limit", "actuated_rows", "thrusters", "joint_forces", "mimics"),
     *("contact_frames", "contact_names", "contact_kinds", "contact_sizes", "contact_radius", "friction"),
     "contact_rolling",
     *("terrain", "surfaces", "patches", "goals", "payloads", "periodicity", "drives", "bodies", "collision"),
@@ -77,6 +78,7 @@ def description_of(meta: Mapping[str, Any], n_phases: int) -> PlanDescription:
         parameters=dict(meta["parameters"]),
         contacts=contacts,
         actuation=str(meta.get("actuation") or "torque"),
+        dynamics=_optional(meta, "dynamics", _dynamics) or "held",
         gravity=_optional(meta, "gravity", lambda given: tuple(_numbers(given, (3,)).tolist())),
         effort_limit=_limit(meta, "effort_limit"),
         velocity_limit=_limit(meta, "velocity_limit"),
@@ -102,7 +104,11 @@ def description_of(meta: Mapping[str, Any], n_phases: int) -> PlanDescription:
 def statistics_of(meta: Mapping[str, Any]) -> SolveStatistics:
     """Read how a solution was found; raises `SolutionFileError` for an invalid entry."""
     kinds = kinds_of_fields(SolveStatistics)
-    readers: dict[str, Callable[[Any], object]] = {"mesh": _mesh, "graded": _graded}
+    readers: dict[str, Callable[[Any], object]] = {
+        "mesh": _mesh,
+        "graded": _graded,
+        "terms_between": lambda given: tuple(TermExcess(**entry) for entry in given),
+    }
     typed = set(kinds) - {"more"}
     values: _Json = {}
     for name in sorted(typed & set(meta)):
@@ -161,6 +167,7 @@ def meta_of(description: PlanDescription, statistics: SolveStatistics) -> _Json:
     if statistics.graded is not None:
         graded = asdict(statistics.graded)
         stated["graded"] = {name: value for name, value in graded.items() if value is not None}
+    stated["terms_between"] = [asdict(entry) for entry in statistics.terms_between]
     required = {"objective"}
     known = {name: value for name, value in stated.items() if value is not None or name in required}
     simulated = {"simulated": True} if statistics.simulated else {}
@@ -169,7 +176,7 @@ def meta_of(description: PlanDescription, statistics: SolveStatistics) -> _Json:
 
 def _described_options(plan: PlanDescription) -> _Json:
     """Return the entries that are only in files with something to describe."""
-    options: _Json = {}
+    options: _Json = {} if plan.dynamics == "held" else {"dynamics": plan.dynamics}
     if plan.rolling.any():
         options["contact_rolling"] = plan.rolling
     if plan.actuated_rows is not None:
@@ -319,6 +326,13 @@ def _margins(given: Any, bodies: RobotShapes) -> BodyMargins | None:
             "allowed: {obstacles: m, pairs: [m, ...]}, not negative, one for each of pairs",
         )
     return BodyMargins(obstacles=obstacles, pairs=pairs)
+
+
+def _dynamics(given: Any) -> DynamicsKind:
+    if given not in get_args(DynamicsKind):
+        allowed = f"allowed: {', '.join(get_args(DynamicsKind))}"
+        raise SolutionFileError(f"dynamics of meta is {shown(given)}", allowed)
+    return cast(DynamicsKind, given)
 
 
 def _mesh(given: Any) -> Mesh:

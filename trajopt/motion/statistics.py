@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from trajopt.arguments import Count, checked
+from trajopt.arguments import Count, NonNegative, checked
 from trajopt.transcription.mesh import Mesh
 
 
@@ -41,6 +41,24 @@ class GradedStatistics:
     error_m: float | None = None
 
 
+@checked
+@dataclass(frozen=True, kw_only=True)
+class TermExcess:
+    """Largest violation of a term between its points, judged by the solve.
+
+    Args:
+        term: name of the term.
+        phase: phase in which it is largest.
+        time: its time, s.
+        excess: violation over the row's unit, or over half the range of two bounds if that is smaller.
+    """
+
+    term: str
+    phase: str
+    time: float
+    excess: NonNegative
+
+
 @dataclass(frozen=True, kw_only=True)
 class SolveStatistics:
     """How a solution was found; times in s, residuals scaled, None where a value is unknown.
@@ -54,6 +72,8 @@ class SolveStatistics:
         failures, worst_figure, tolerance_used: Figures beyond a tolerance; the worst one, over its tolerance.
         row_names: Blocks of rows to which the multiplier arrays refer.
         mesh: None if it follows from the sample times.
+        terms_between, excess_by_interval: Terms that a check of the file cannot evaluate, at moments between
+            their points: the worst of each, and of each interval.
         graded: Refinement rounds. simulation: Report of a simulated motion.
         more: Further values of the solver and entries of other programs, JSON-able.
     """
@@ -95,6 +115,8 @@ class SolveStatistics:
     rotation_norm_error: float | None = None
     redundant_contact_rows: Mapping[str, Any] = field(default_factory=dict)
     row_names: tuple[str, ...] = ()
+    terms_between: tuple[TermExcess, ...] = ()
+    excess_by_interval: tuple[float, ...] = ()
     graded: GradedStatistics | None = None
     simulation: Mapping[str, Any] | None = None
     more: Mapping[str, Any] = field(default_factory=dict)

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
+from typing import Literal
 
 import numpy as np
 
@@ -207,6 +208,13 @@ class Problem:
     def holds_contacts(self) -> bool:
         """Whether the dynamics hold contacts in place; a reduced model without legs does not."""
         return any(isinstance(rows, ContactAcceleration | ContactVelocity) for rows in self.motion_rows)
+
+    @property
+    def dynamics_kind(self) -> Literal["held", "forced", "own"]:
+        """What a check may assume of the dynamics, see `PlanDescription`."""
+        if self.holds_contacts:
+            return "held"
+        return "forced" if any(isinstance(rows, BaseDynamics) for rows in self.motion_rows) else "own"
 
     @property
     def costs(self) -> tuple[Cost, ...]:

@@ -37,7 +37,7 @@ def solve_within(problem: Problem, budget: Positive, **settings: Any) -> Graded:
     """
     settings["solver_time"] = True
     made = solve_graded(problem, max_time=budget, **settings)
-    if not made.solution.converged or not problem.holds_contacts:
+    if not made.solution.converged or problem.dynamics_kind == "own":
         return made
     accuracy, why = measure(made.solution), made.why
     rounds = (*made.rounds[:-1], replace(made.rounds[-1], errors=phase_errors(accuracy)))

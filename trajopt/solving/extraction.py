@@ -226,6 +226,7 @@ def described(problem: Problem) -> PlanDescription:
         problem=problem.name,
         parameters=dict(problem.parameters),
         actuation=problem.actuation,
+        dynamics=problem.dynamics_kind,
         terrain=problem.terrain,
         phase_names=tuple(phase.name for phase in problem.schedule.phases),
         **described_robot(problem),

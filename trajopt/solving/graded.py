@@ -143,11 +143,13 @@ def solve_graded(
         require_positive("accuracy", accuracy, "m")
         wanted = tolerance_for(accuracy, NaturalUnits.of(problem.robot.model).length)
         settings["tolerance"] = min(settings.get("tolerance", USUAL_TOLERANCE), wanted)
-    if not problem.holds_contacts:
+    if problem.dynamics_kind == "own":
         mesh = mesh or chosen_mesh(problem)
         solution = first or solve_on_mesh(problem, mesh=mesh, start=start, **{**settings, "judge": False})
         rounds = (Round.of(mesh, solution),)
-        return Graded(solution=solution, examination=None, rounds=rounds, why="it has no legs", examined=0.0)
+        return Graded(
+            solution=solution, examination=None, rounds=rounds, why="its dynamics are its own", examined=0.0
+        )
     known = Exchange(problem) if exchange is None else exchange.moved_to(problem)
     if start is not None:
         start = solution_of(start)

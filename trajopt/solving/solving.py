@@ -29,6 +29,7 @@ from trajopt.solving.verdicts import (
     finite_or_none,
     judged,
     status_by_violation,
+    terms_between,
 )
 from trajopt.solving.warm_start import warm_start
 from trajopt.transcription.compilation import CompilationReport, compile_points, entry_key
@@ -217,7 +218,7 @@ def solve_prepared(
     if certificate is not None:
         solution = certified_infeasible(solution, why_infeasible(prepared.nlp, certificate))
     solution = fail_on_gimbal_lock(solution)
-    if judge and prepared.transcription.problem.holds_contacts:
+    if judge:
         solution = judged(solution)
     reporter.end(result, solution.statistics.status)
     return solution
@@ -273,9 +274,14 @@ def _solution(
     worst = float(violations.max()) if np.all(np.isfinite(violations)) else math.nan
     status = status_by_violation(result.status, worst, tolerance)
     success = status is Status.SOLVED
+    points = {
+        id(group.point): parts["value"]
+        for group, parts in zip(t.groups, prepared.nlp.parts["groups"], strict=True)
+    }
     solution = extract(
         t,
         result.x,
+        **(terms_between(t, points, result.x) if success else {}),
         solver=solver,
         hessian=prepared.nlp.hessian,
         status=status.word,

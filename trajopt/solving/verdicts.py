@@ -2,16 +2,21 @@
 
 import math
 import time
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
+from trajopt._engine import Tape
 from trajopt.certify.check import check
 from trajopt.certify.report import AT_POINTS, FIGURES, CheckReport, Tolerances
 from trajopt.dynamics.virtual_base import LEAST_MARGIN, gimbal_margin_along
 from trajopt.errors import TrajoptError
 from trajopt.motion.solution import Solution
+from trajopt.motion.statistics import TermExcess
 from trajopt.solvers.status import Status
+from trajopt.transcription.between import rows_between
+from trajopt.transcription.transcription import Transcription
 
 # "Solved" is accepted if the recomputed violation of all rows is below this multiple of the tolerance.
 TRUSTED_VIOLATION = 10.0
@@ -103,3 +108,35 @@ def _failed(solution: Solution, advice: str) -> Solution:
 def finite_or_none(value: float) -> float | None:
     """Return the value, or None if it is not finite, for JSON."""
     return value if math.isfinite(value) else None
+
+
+def terms_between(transcription: Transcription, values: Mapping[int, Tape], x: np.ndarray) -> dict[str, Any]:
+    """Return the statistics of terms that a check cannot evaluate, at moments between their points.
+
+    Args:
+        transcription: The transcription.
+        values: Compiled values of point functions by their id.
+        x: Scaled variables (n_unknowns,).
+    """
+    problem, layout, rows = transcription.problem, transcription.layout, transcription.rows
+    terms = (*problem.point_constraints, *problem.node_constraints)
+    names = frozenset(term.name for term in terms if not term.in_check)
+    times = layout.times(x * transcription.scale)
+    by_stage, worst = np.zeros(layout.n_stages), dict[str, TermExcess]()
+    for part in rows_between(transcription, values, x, names):
+        excess = part.excess(transcription)
+        np.maximum.at(by_stage, part.stages, excess.max(axis=1))
+        for block in np.unique(rows.block[part.numbers]):
+            of_block = excess[:, rows.block[part.numbers] == block].max(axis=1)
+            index = int(np.argmax(of_block))
+            stage, name = int(part.stages[index]), rows.names[block]
+            if name not in worst or of_block[index] > worst[name].excess:
+                time = times[stage] + part.fraction * (times[stage + 1] - times[stage])
+                phase = layout.schedule.phases[int(layout.phase_of[stage])].name
+                worst[name] = TermExcess(
+                    term=name, phase=phase, time=float(time), excess=float(of_block[index])
+                )
+    if not worst:
+        return {}
+    by_interval = tuple(by_stage[layout.interval_stages].tolist())
+    return {"terms_between": tuple(worst.values()), "excess_by_interval": by_interval}

@@ -283,6 +283,42 @@ class Context(Parameters):
             self._frames[name] = FrameSymbols.create(name)
         return self._frames[name]
 
+    def varies(self, expression: ca.SX) -> bool:
+        """Whether an expression depends on the motion or the forces: on a symbol that is no parameter."""
+        symbols = ca.vertcat(self.z, self.dynamics_symbols(), self.frame_symbols())
+        return expression.numel() > 0 and bool(ca.depends_on(expression, symbols))
+
+    def rate(self, expression: ca.SX) -> ca.SX:
+        """Time derivative (n,) of an expression along the motion, at collocation points.
+
+        It is the chain rule over ``xi`` and ``dxi`` (and so ``q`` and ``v``), and over the placements and
+        velocities of frames. Accelerations, torques and wrenches have no rates.
+
+        Args:
+            expression: (n,), of positions and velocities.
+
+        Raises:
+            InputError: elsewhere than at a collocation point, and for an expression of other symbols.
+        """
+        if self.place is not Place.POINT:
+            raise InputError(f"a term asks for a rate at a {self.place.value}", "allowed: collocation points")
+        nv, start, rates = self.coordinates.nv, self.rotations.numel(), [self.dxi]
+        symbols = [self.xi, *[self.z[start + nv : start + 2 * nv]]]
+        rates.append(self._highest * self.time_scale)
+        for frame in self._frames.values():
+            turning = ca.mtimes(ca.skew(frame.velocity[3:]), frame.rotation)
+            symbols += [ca.vec(frame.rotation), frame.position, frame.velocity]
+            rates += [ca.vec(turning), frame.velocity[:3], frame.acceleration]
+        others = [self.z[start + 2 * nv :], self.dynamics_symbols()]
+        others += [frame.acceleration for frame in self._frames.values()]
+        moving = [p for p, value in zip(self._parameters, self._values, strict=True) if callable(value)]
+        if ca.depends_on(expression, ca.vertcat(*others, *moving)):
+            raise InputError(
+                "a term asks for the rate of an acceleration, torque, wrench, duration or reference",
+                "allowed: expressions of positions, velocities and constant parameters",
+            )
+        return ca.jtimes(expression, ca.vertcat(*symbols), ca.vertcat(*rates))
+
     def square(self, residual: ca.SX, weight: ca.SX) -> None:
         """Record a least-squares part of a cost for Gauss-Newton, which treats its weights as constants.
 

@@ -13,6 +13,7 @@ torque k_t V / R and no-load speed V / k_e, this is tau_m^2 no_load_speed / stal
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import casadi as ca
 import numpy as np
@@ -59,6 +60,8 @@ class DriveLimits(PointConstraint):
     Together with `TorqueLimits`, the same row would appear twice. Rows that `Units` judges out of reach are
     left out; the check verifies them.
     """
+
+    checked_by_file: ClassVar[bool] = True
 
     @override
     def rows(self, context: Context, units: Units) -> Rows | None:

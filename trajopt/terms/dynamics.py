@@ -12,6 +12,7 @@ Bjoerklund, Tribology International 40, 2007, without their static peak). A cont
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import casadi as ca
 import numpy as np
@@ -39,6 +40,8 @@ class BaseDynamics(PointConstraint):
     they are the combinations of rows that no input reaches.
     """
 
+    checked_by_file: ClassVar[bool] = True
+
     @override
     def rows(self, context: Context, units: Units) -> Rows | None:
         actuation = context.robot.actuation
@@ -56,6 +59,8 @@ class FollowingJoints(PointConstraint):
 
     Rows are over g or g / l, and sqrt(g l) or sqrt(g / l). Positions follow too if they do at the start.
     """
+
+    checked_by_file: ClassVar[bool] = True
 
     @override
     def rows(self, context: Context, units: Units) -> Rows | None:
@@ -79,6 +84,8 @@ class ContactAcceleration(PointConstraint):
     Rows are over g or g / l. Axes are the base's for a free-flyer, the world's otherwise.
     """
 
+    checked_by_file: ClassVar[bool] = True
+
     @override
     def rows(self, context: Context, units: Units) -> Rows | None:
         parts, scales = [], []
@@ -101,6 +108,8 @@ class ContactVelocity(PointConstraint):
 
     linear and, for a sole, angular, in world axes. Rows are over sqrt(g l) or sqrt(g / l).
     """
+
+    checked_by_file: ClassVar[bool] = True
 
     @override
     def rows(self, context: Context, units: Units) -> Rows | None:
@@ -183,6 +192,8 @@ class SlidingFriction(PointConstraint):
     with f_t and v_t (2,) the force and velocity along the surface's tangents and v_s its slip speed. Rows are
     over m g. Part of the dynamics where a schedule has such contacts, see `Problem.motion_rows`.
     """
+
+    checked_by_file: ClassVar[bool] = True
 
     @override
     def rows(self, context: Context, units: Units) -> Rows | None:

@@ -59,6 +59,11 @@ class ContactConstraint(PointConstraint):
     friction: NonNegative | None = None
     contacts: tuple[str, ...] | None = None
 
+    @property
+    @override
+    def in_check(self) -> bool:
+        return self.checked_by_file and self.friction is None
+
     @override
     def idle(self, robot: Robot, schedule: Schedule) -> str:
         if self.contacts is not None and not self.contacts:
@@ -148,6 +153,8 @@ class FrictionPyramid(ContactConstraint):
         contacts: names of the contacts; default all.
     """
 
+    checked_by_file: ClassVar[bool] = True
+
     @override
     def _add_rows(
         self, cone: _ConeRows, contact: Contact, friction: float, context: Context, units: Units
@@ -185,6 +192,8 @@ class FrictionCone(ContactConstraint):
         contacts: names of the contacts; default all.
     """
 
+    checked_by_file: ClassVar[bool] = True
+
     @override
     def _add_rows(
         self, cone: _ConeRows, contact: Contact, friction: float, context: Context, units: Units
@@ -215,6 +224,7 @@ class SoleLimits(ContactConstraint):
         contacts: names of the contacts; default all.
     """
 
+    checked_by_file: ClassVar[bool] = True
     soles_only: ClassVar[bool] = True
 
     @override
@@ -252,6 +262,7 @@ class SoleCone(ContactConstraint):
         contacts: names of the contacts; default all.
     """
 
+    checked_by_file: ClassVar[bool] = True
     soles_only: ClassVar[bool] = True
 
     @override

@@ -48,14 +48,26 @@ class Term:
     acts_at_impacts: ClassVar[bool] = False
     # Whether a function created it for a schedule, in which it may have no node to act at.
     made_for_schedule: ClassVar[bool] = False
+    # Whether the check of a file judges the rows at all times without knowing the term.
+    checked_by_file: ClassVar[bool] = False
     # Whether it concerns the forces of active contacts, without which it has no effect.
     acts_on_forces: ClassVar[bool] = False
+
+    def __init_subclass__(cls, **more: Any) -> None:
+        super().__init_subclass__(**more)
+        if "rows" in vars(cls) and "checked_by_file" not in vars(cls):
+            cls.checked_by_file = False  # rows of one's own are not those of the parent
 
     @property
     def name(self) -> str:
         """Name in reports, for example ``torque_cost``."""
         letters = type(self).__name__
         return "".join(f"_{c.lower()}" if c.isupper() and i else c.lower() for i, c in enumerate(letters))
+
+    @property
+    def in_check(self) -> bool:
+        """Whether the check of a file judges the term at all times; others are judged by the solve."""
+        return self.checked_by_file
 
     @property
     def phases(self) -> tuple[str, ...] | None:

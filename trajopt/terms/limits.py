@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -47,6 +47,8 @@ class TorqueLimits(PointConstraint):
     Raises:
         InputError: for limits that are negative or NaN.
     """
+
+    checked_by_file: ClassVar[bool] = True
 
     limit: Annotated[np.ndarray, ArrayShape((None,), infinite=True)] | None = None
     far: bool = False
@@ -93,6 +95,8 @@ class VelocityLimits(PointConstraint):
         far: whether limits that seem out of reach have rows, too.
     """
 
+    checked_by_file: ClassVar[bool] = True
+
     far: bool = False
 
     def left_out(self, robot: Robot) -> np.ndarray:
@@ -131,6 +135,8 @@ class PositionLimits(PointConstraint):
     Args:
         far: whether limits that seem out of reach have rows, too.
     """
+
+    checked_by_file: ClassVar[bool] = True
 
     far: bool = False
 

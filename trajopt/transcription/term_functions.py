@@ -15,8 +15,9 @@ from trajopt.problem.problem import Problem
 from trajopt.robot.units import Units
 from trajopt.terms.context import Context
 from trajopt.terms.context_symbols import Place
+from trajopt.terms.costs import NodeCost
 from trajopt.terms.dynamics import ImpactDynamics
-from trajopt.terms.interfaces import PointConstraint, Rows, Term, column
+from trajopt.terms.interfaces import Cost, PointConstraint, Rows, Term, column
 from trajopt.terms.moments import MomentConstraint
 from trajopt.transcription.layout import Layout
 from trajopt.transcription.redundancy import independent_rows
@@ -54,15 +55,16 @@ class TermFunctions:
     layout: Layout
     units: Mapping[int, Units]
     _kept: dict[int, dict[str, tuple[int, ...]]] = field(default_factory=dict, init=False)
+    _effects: dict[str, bool] = field(default_factory=dict, init=False)
 
     def point(self, phase: int) -> StageTerms:
         """Function of a phase's collocation points."""
         form = self.layout.form_of(phase)
         units, context = self.units[id(form.robot)], self.context(phase, form, Place.POINT)
         name, problem = self.problem.schedule.phases[phase].name, self.problem
-        costs = [result_of(t, name, t.value, context, units) for t in problem.costs if t.acts_in(name)]
+        costs = [self._result(t, name, t.value, context, units) for t in problem.costs if t.acts_in(name)]
         acting = [term for term in problem.point_constraints if term.acts_in(name)]
-        rows = [(t.name, result_of(t, name, t.rows, context, units)) for t in acting]
+        rows = [(t.name, self._result(t, name, t.rows, context, units)) for t in acting]
         return _stage_terms(name, context, context.time_scale * sum(costs, ca.SX(0)), rows)
 
     def impact(self, k: int) -> StageTerms:
@@ -71,9 +73,11 @@ class TermFunctions:
         units = self.units[id(form.robot)].impulsive()
         context = self.context(phase, form, Place.IMPACT)
         name, problem = self.problem.schedule.phases[phase].name, self.problem
-        costs = [result_of(t, name, t.value, context, units) for t in problem.impact_costs if t.acts_in(name)]
+        costs = [
+            self._result(t, name, t.value, context, units) for t in problem.impact_costs if t.acts_in(name)
+        ]
         acting = [t for t in problem.point_constraints if t.acts_in(name) and t.acts_at_impacts]
-        rows = [(t.name, result_of(t, name, t.rows, context, units)) for t in (ImpactDynamics(), *acting)]
+        rows = [(t.name, self._result(t, name, t.rows, context, units)) for t in (ImpactDynamics(), *acting)]
         return _stage_terms(f"impact_{name}", context, sum(costs, ca.SX(0)), rows)
 
     def nodes(self) -> dict[int, StageTerms]:
@@ -89,8 +93,8 @@ class TermFunctions:
             units, near = self.units[id(form.robot)], self._unwrapped_guess.get(k)
             context = self.context(phase, form, Place.NODE, near, partial(self._guess_at, k))
             name = place.phase.name
-            named = [(t.name, result_of(t, name, t.rows, context, units, place)) for t in acting]
-            cost = sum((result_of(t, name, t.value, context, units, place) for t in priced), ca.SX(0))
+            named = [(t.name, self._result(t, name, t.rows, context, units, place)) for t in acting]
+            cost = sum((self._result(t, name, t.value, context, units, place) for t in priced), ca.SX(0))
             key = (id(form), name, *(id(term) for term in (*acting, *priced)))
             terms = _stage_terms(f"node_{name}", context, cost, named, functions.get(key))
             if terms.blocks or priced:
@@ -118,7 +122,7 @@ class TermFunctions:
             mode=self.problem.modes.get(term.during),
         )
         parameters = context.parameter(np.zeros(term.parameters.shape[1]))
-        rows = result_of(term, term.during, term.row, context, self.units[id(form.robot)], parameters)
+        rows = self._result(term, term.during, term.row, context, self.units[id(form.robot)], parameters)
         return _stage_terms(f"moment_{term.name}", context, ca.SX(0), [(term.name, rows)])
 
     def end(self, form: NodeLayout) -> PointFunction | None:
@@ -157,6 +161,37 @@ class TermFunctions:
         q, v, *_ = mode.lift(*state, mode.anchor) if whole else mode.drop(*state)
         shared = {joint.name: context.xi[joint.v] for joint in before.coordinates.joints if joint.is_counted}
         return after.coordinates.symbolic_node(q, v, shared)
+
+    def require_effects(self) -> None:
+        """Raise `InputError` for a term whose rows or residuals are constant wherever it acts."""
+        for name, varies in self._effects.items():
+            if not varies:
+                raise InputError(
+                    f"{name} cannot vary: it depends neither on the motion nor on forces",
+                    "allowed: expressions of the context's symbols; torques, wrenches and frames are symbols of"
+                    " their own, and context.rate(...) differentiates along the motion",
+                )
+
+    def _result(
+        self, term: Term, phase: str, build: Callable[..., Any], context: Context, *more: object
+    ) -> Any:
+        """The result of a term's method, see `result_of`; records whether it can vary.
+
+        A constant cost other than zero is a price of time.
+        """
+        before = context.squares[0].numel()
+        result = result_of(term, phase, build, context, *more)
+        if isinstance(result, Rows):
+            expression, states = result.expression, result.expression.numel() > 0
+        elif result is None:
+            return None
+        else:
+            own = type(term).value not in (Cost.value, NodeCost.value)
+            expression = result
+            states = context.squares[0].numel() > before or (own and result.is_zero())
+        if states or context.varies(expression):
+            self._effects[term.name] = self._effects.get(term.name, False) or context.varies(expression)
+        return result
 
     def redundant(self) -> dict[str, list[str]]:
         """Return the names of the redundant contact rows, which are left out, by phase."""

@@ -114,6 +114,7 @@ class Transcription:
 
     problem: Problem
     layout: Layout
+    collocation: Collocation
     groups: tuple[FunctionGroup, ...]
     rows: RowInfo
     n_rows: int
@@ -175,6 +176,7 @@ class Transcriber:
         impacts = {k: self.functions.impact(k) for k in self.layout.transitions_of(StageKind.IMPACT)}
         nodes = self.functions.nodes()
         moment_terms = [self.functions.moment(term) for term in self.problem.moment_constraints]
+        self.functions.require_effects()
         numbers = self._number_rows(point_terms, impacts, nodes, moment_terms)
         for phase in phases:
             self._add_point_groups(phase, point_terms[phase], numbers.point)
@@ -189,6 +191,7 @@ class Transcriber:
         return Transcription(
             problem=self.problem,
             layout=self.layout,
+            collocation=self.collocation,
             groups=tuple(
                 replace(group, cost_weight=group.cost_weight / objective_unit(self.problem))
                 for group in self.groups

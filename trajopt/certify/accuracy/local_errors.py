@@ -18,6 +18,7 @@ import pinocchio as pin
 from trajopt.certify.accuracy.named_points import NamedPoints
 from trajopt.certify.contact.contact_dynamics import ContactDynamics
 from trajopt.certify.reintegration import integrated_interval_error, phase_dynamics
+from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.motion.quantities import MotionQuantities
 
 # Number of quadrature points beyond those of the scheme.
@@ -68,9 +69,8 @@ def _collocated(
     ends = np.full((len(numbers), plan.model.nv), np.inf)
     with np.errstate(all="ignore"):
         for _ in range(MOST_SWEEPS):
-            apart = (dynamics.accelerations(q, v, force + plan.joint_force(q, v)) - sample.a).reshape(
-                len(numbers), count, -1
-            )
+            given = force + plan.joint_force(q, v) + _contact_force(motion, q, sample.f)
+            apart = (dynamics.accelerations(q, v, given) - sample.a).reshape(len(numbers), count, -1)
             faster, moved = step * (once @ apart), step**2 * (twice @ apart)
             changed, ends = np.abs(faster[:, -1] - ends).max(), faster[:, -1]
             if not changed > SWEEP_CHANGE * np.abs(ends).max():
@@ -80,6 +80,18 @@ def _collocated(
             v = sample.v + faster[:, :-1].reshape(len(q), -1)
         gap = motion.polynomials.gaps(np.array(numbers))
         return moved[:, -1] - gap[:, 0], faster[:, -1] - gap[:, 1]
+
+
+def _contact_force(motion: MotionQuantities, q: np.ndarray, f: np.ndarray) -> np.ndarray | float:
+    """Return J^T f (n, nv) of planned wrenches (n, nc, 6) at n configurations; 0 if contacts are held."""
+    plan = motion.solution
+    if plan.description.dynamics == "held":
+        return 0.0
+    contacts = [(frame, 6) for frame in plan.contact_frames]
+    return np.array([
+        contact_jacobian(plan.model, row, contacts).T @ wrenches.ravel()
+        for row, wrenches in zip(q, f, strict=True)
+    ])  # fmt: skip
 
 
 @lru_cache

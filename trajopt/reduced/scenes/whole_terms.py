@@ -121,6 +121,10 @@ class WholeView(Context):
         return wrenches
 
     @override
+    def rate(self, expression: ca.SX) -> ca.SX:
+        return self.small.rate(expression)
+
+    @override
     def frame(self, name: str) -> FrameSymbols:
         frame = self.small.frame(name)
         if name not in self.reduction.mirrored_frames:
