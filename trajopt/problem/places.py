@@ -109,8 +109,13 @@ class Stances:
         """Positions of the contacts that stand at a moment; between two phases, those of both."""
         index, fraction = self.index(moment.phase), moment.fraction
         other = index - 1 if fraction == 0 else index + 1 if fraction == 1 else index
-        near = self.places[other] if 0 <= other < len(self.places) else {}
-        return {**near, **self.places[index]}
+        near = self.held(other) if 0 <= other < len(self.places) else {}
+        return {**near, **self.held(index)}
+
+    def held(self, index: int) -> _Places:
+        """Known positions of a phase's contacts without those that roll away from where they began."""
+        places = self.places[index]
+        return {name: place for name, place in places.items() if not self.robot.contact(name).rolling}
 
 
 def require_places(
@@ -201,7 +206,7 @@ def require_postures(stances: Stances, goals: Sequence[_Goal], rows: Sequence[Po
         limits = [limit for limit in rows if limit.acts_in(name)]
         require_limits(f"in q of {term}", robot, target.q, np.zeros(robot.nv), limits)
         for contact, pose in contact_poses(robot, target.q).items():
-            place, ground = stances.places[index].get(contact), stances.grounds[index].get(contact)
+            place, ground = stances.held(index).get(contact), stances.grounds[index].get(contact)
             off = 0.0 if place is None else float(np.linalg.norm(pose.translation - place))
             if off > PLACE_SLACK * robot.length:
                 raise InputError(
@@ -216,7 +221,8 @@ def require_postures(stances: Stances, goals: Sequence[_Goal], rows: Sequence[Po
 
 def require_apart(stances: Stances) -> None:
     """Require contacts that stand at once to be no farther apart than the links between them reach."""
-    for phase, places in zip(stances.schedule.names, stances.places, strict=True):
+    for index, phase in enumerate(stances.schedule.names):
+        places = stances.held(index)
         feet = _feet(stances.robot, places)
         for one, other in combinations(places, 2):
             what = f"contacts '{one}' and '{other}' stand in phase '{phase}'"

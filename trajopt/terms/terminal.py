@@ -73,7 +73,7 @@ class TerminalState(NodeConstraint):
         N^T ((xi - xi*) / u) = 0
 
     with N (nv, n) the `free_directions` at q and u the unit of each coordinate, l or 1 rad. For a rotation,
-    the difference is 2 tan(angle / 2) times its axis.
+    the difference is 2 tan(angle / 2) times its axis. The angles of rolling wheels are left free.
 
     Args:
         q: configuration (nq,), m and rad.
@@ -87,16 +87,41 @@ class TerminalState(NodeConstraint):
 
     @override
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
-        return free_rows(context, place, self.q, configuration_difference(context, self.q) / units.position)
+        difference = configuration_difference(context, self.q) / units.position
+        levers = [context.lever(context.robot.contact(name)) for name in place.phase.contacts]
+        rolling = [
+            name for name, lever in zip(place.phase.contacts, levers, strict=True) if lever is not None
+        ]
+        return free_rows(context, place, self.q, difference, wheel_rows(context.robot, self.q, rolling))
 
 
-def free_rows(context: Context, place: NodePlace, q: np.ndarray, quantity: ca.SX) -> Rows:
-    """Rows on which a quantity (nv,), over its unit, vanishes in the directions that contacts leave free."""
+def wheel_rows(robot: Robot, q: np.ndarray, contacts: Sequence[str]) -> list[int]:
+    """Rows of v of the joints that turn these contacts about their centres, at q (nq,)."""
+    rows = []
+    for contact in map(robot.contact, contacts):
+        joint = robot.model.joints[robot.model.frames[robot.model.getFrameId(contact.frame)].parentJoint]
+        moved = contact_jacobian(robot.model, q, [(contact.frame, 3)])
+        own = range(joint.idx_v, joint.idx_v + joint.nv)
+        rows += [row for row in own if np.abs(moved[:, row]).max() < RANK_TOLERANCE * robot.length]
+    return rows
+
+
+def free_rows(
+    context: Context, place: NodePlace, q: np.ndarray, quantity: ca.SX, wheels: Sequence[int] = ()
+) -> Rows:
+    """Rows on which a quantity (nv,), over its unit, vanishes in the directions that contacts leave free.
+
+    Its rows ``wheels`` are left free.
+    """
     require_configuration(context.robot.model, np.asarray(q, dtype=float), "q")
     surfaces = {name: context.slides_on(context.robot.contact(name)) for name in place.phase.contacts}
     normals = {name: surface.normal for name, surface in surfaces.items() if surface is not None}
     levers = {name: context.lever(context.robot.contact(name)) for name in place.phase.contacts}
     basis = free_directions(context.robot, q, place.phase.contacts, normals, levers)
+    if wheels:
+        basis[list(wheels)] = 0.0
+        vectors, singular, _ = np.linalg.svd(basis, full_matrices=False)
+        basis = vectors[:, singular > RANK_TOLERANCE]
     return Rows.create(ca.mtimes(context.parameter(basis).T, quantity), 0, 0, 1.0)
 
 

@@ -168,8 +168,8 @@ class TermFunctions:
             if not varies:
                 raise InputError(
                     f"{name} cannot vary: it depends neither on the motion nor on forces",
-                    "allowed: expressions of the context's symbols; torques, wrenches and frames are symbols of"
-                    " their own, and context.rate(...) differentiates along the motion",
+                    "allowed: expressions of the context's symbols; torques, wrenches and frames are symbols"
+                    " of their own, and context.rate(...) differentiates along the motion",
                 )
 
     def _result(
