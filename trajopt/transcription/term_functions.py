@@ -188,7 +188,7 @@ class TermFunctions:
         else:
             own = type(term).value not in (Cost.value, NodeCost.value)
             expression = result
-            states = context.squares[0].numel() > before or (own and result.is_zero())
+            states = result.is_zero() and (own or context.squares[0].numel() > before)
         if states or context.varies(expression):
             self._effects[term.name] = self._effects.get(term.name, False) or context.varies(expression)
         return result
