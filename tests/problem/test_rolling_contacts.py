@@ -25,9 +25,11 @@ from trajopt.reduced.single_rigid_body import body_problem
 from trajopt.reduced.two_stage import base_rows_problem
 from trajopt.reduced.wrench_distribution import redistribute_wrenches
 from trajopt.robot.contact import Contact
+from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.simulation.simulate import simulate
 from trajopt.solving.diagnosis.diagnose import diagnose
+from trajopt.terms import FramePose, FrictionCone, TerminalRest, TerminalState, effort_costs
 from trajopt.terrain.surface import Surface
 
 SOLVED, ROUNDING = 1e-6, 1e-9
@@ -263,3 +265,51 @@ def test_feet_that_roll_track_plans_that_do(controller):
     settings = {"cycles": 3, "controller": controller, "rolling": True}
     ends = [simulate(plan, **settings).report.base_error_end for plan in (held, rolls)]
     assert ends[1] < 0.2 * ends[0]
+
+
+WHEELS = ("fl", "fr", "rl", "rr")
+CART = (
+    '<robot name="cart"><link name="base"><inertial><origin xyz="0 0 0.05"/><mass value="10"/>'
+    '<inertia ixx="0.2" ixy="0" ixz="0" iyy="0.4" iyz="0" izz="0.5"/></inertial></link>{}</robot>'
+)
+WHEEL = (
+    '<link name="{0}_wheel"><inertial><mass value="0.5"/>'
+    '<inertia ixx="0.0014" ixy="0" ixz="0" iyy="0.0025" iyz="0" izz="0.0014"/></inertial></link>'
+    '<joint name="{0}_axle" type="continuous"><parent link="base"/><child link="{0}_wheel"/>'
+    '<origin xyz="{1} {2} 0"/><axis xyz="0 1 0"/><limit effort="10" velocity="50"/></joint>'
+)
+
+
+@pytest.fixture(scope="module")
+def cart(tmp_path_factory):
+    places = {"fl": (0.3, 0.2), "fr": (0.3, -0.2), "rl": (-0.3, 0.2), "rr": (-0.3, -0.2)}
+    path = tmp_path_factory.mktemp("cart") / "cart.urdf"
+    path.write_text(CART.format("".join(WHEEL.format(name, *place) for name, place in places.items())))
+    contacts = [Contact(frame=f"{name}_wheel", name=name, radius=0.1, rolling=True) for name in WHEELS]
+    return Robot.from_urdf(path, contacts=contacts)
+
+
+@pytest.mark.parametrize("goal", [TerminalState, FramePose])
+def test_a_goal_is_reached_by_rolling(cart, goal):
+    q = cart.reference.copy()
+    q[0] += 1.0
+    end = goal(q=q) if goal is TerminalState else goal(frame="base", position=q[:3])
+    problem = Problem(
+        name="cart",
+        robot=cart,
+        schedule=Schedule((Phase(name="roll", duration=2.0, contacts=WHEELS),)),
+        terms=(*effort_costs(), FrictionCone(), TerminalRest(), end),
+    )
+    motion = trajopt.solve(problem)
+    turned = np.arctan2(motion.q[-1, 8::2], motion.q[-1, 7::2])
+    assert motion.success
+    assert motion.q[-1, 0] == pytest.approx(q[0], abs=1e-6)
+    assert turned == pytest.approx(np.full(4, np.angle(np.exp(10j))), abs=1e-3)
+
+
+def test_a_height_that_wheels_do_not_reach_is_still_refused(cart):
+    q = cart.reference.copy()
+    q[2] += 0.5
+    roll = Schedule((Phase(name="roll", duration=2.0, contacts=WHEELS),))
+    with pytest.raises(InputError, match="above its ground"):
+        Problem(name="cart", robot=cart, schedule=roll, terms=(*effort_costs(), TerminalState(q=q)))
