@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from trajopt.arguments import NonNegative, Positive, PositiveCount, checked
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
 from trajopt.motion.carried import carrying_model
@@ -100,10 +101,20 @@ class ReferenceTrajectory(ContactTimeline):
         return list(pairwise([0, *changes.tolist(), len(self.active)]))
 
 
-def reference_of(plan: Solution, rate: float, cycles: int = 1, *, hold: float = HOLD) -> ReferenceTrajectory:
-    """Sample a plan at ``rate`` Hz, repeat it, and hold its end if it is at rest. Raises `InputError`.
+@checked
+def reference_of(
+    plan: Solution, rate: Positive, cycles: PositiveCount = 1, *, hold: NonNegative = HOLD
+) -> ReferenceTrajectory:
+    """Sample a plan at every tick of a controller, repeat it, and hold its end if it is at rest.
 
-    The hold lasts ``hold`` times sqrt(l / g).
+    Args:
+        plan: the plan.
+        rate: of the controller, Hz; rounded to a whole number of ticks in the plan.
+        cycles: of a periodic plan.
+        hold: how long the end is held, in natural times sqrt(l / g) with the robot's reach l.
+
+    Raises:
+        InputError: for more than one cycle of a plan that is not periodic, or for too many ticks.
     """
     whole = passes_of(plan, cycles)
     periods = float(plan.interval_t[-1, 1] - plan.interval_t[0, 0]) * rate * whole

@@ -1,4 +1,4 @@
-"""The simulation itself: a scene, a controller and events give a record, tick by tick.
+"""The simulation itself: a scene, a controller and events produce a record, tick by tick.
 
 At the start of each tick the controller returns torques for the measured state. They are clipped at the
 limits of the drives, and act for the whole period. Sensors and drives may be those of real hardware.

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, Protocol, runtime_checkable
 
 from trajopt.arguments import Count, NonNegative, Positive, PositiveCount, checked
 from trajopt.control.gains import TrackerGains
@@ -47,6 +47,20 @@ class Impulse:
     duration: Positive
 
 
+@runtime_checkable
+class Event(Protocol):
+    """Interface of a disturbance of your own, on MuJoCo's model and data."""
+
+    def apply(self, t: float, model: Any, data: Any) -> None:
+        """Called at the start of each tick, ``t`` s from the start, before the controller is asked.
+
+        The body that joint i of the Pinocchio model moves is called ``body<i>``. External forces
+        (``xfrc_applied``) and friction of contact pairs have their values without events again at each call;
+        other changes stay.
+        """
+        ...
+
+
 @checked
 @dataclass(frozen=True, kw_only=True)
 class SimulationSettings:
@@ -64,10 +78,12 @@ class SimulationSettings:
         cycles: repetitions of a periodic plan.
         push: horizontal force on the base, N, to its left (planar: front) in the motion's middle tenth.
         rolling: whether contacts with a radius roll as balls or turn about their centres; None: as planned.
-        controller: see `Controller`; or an object with the method of `TorqueController`, such as a `Tracker`.
+        controller: "joints", "whole-body", or an object with the method of `TorqueController`, such as a
+            `Tracker`.
         gains: of the controller "whole-body"; None: the default ones.
         qp_solver: of the controller "whole-body".
         impulse: another push, of any direction and time, see `Impulse`; or several.
+        events: disturbances of your own, applied in this order, see `Event`.
         sensor_noise: standard deviation of the measured state at every tick, in the units of ``noise``.
         delay: whole ticks by which measured states and contacts are late.
         torque_step: torques are rounded to its multiples, N m (N for a sliding joint); 0 is off.
@@ -94,6 +110,7 @@ class SimulationSettings:
     gains: TrackerGains | None = None
     qp_solver: QpSolverName = "piqp"
     impulse: Impulse | Sequence[Impulse] | None = None
+    events: Sequence[Event] = ()
     sensor_noise: _Share = 0.0
     delay: Annotated[int, Range(0, 100)] = 0
     torque_step: _Gain = 0.0
