@@ -55,8 +55,8 @@ class Event(Protocol):
         """Called at the start of each tick, ``t`` s from the start, before the controller is asked.
 
         The body that joint i of the Pinocchio model moves is called ``body<i>``. External forces
-        (``xfrc_applied``) and friction of contact pairs have their values without events again at each call;
-        other changes stay.
+        (``xfrc_applied``) and the friction of contact pairs are reset at the start of each tick to their
+        values without events; other changes stay.
         """
         ...
 
