@@ -82,7 +82,7 @@ def hang(pids: Path) -> None:
     child = subprocess.Popen(["sleep", "3600"])
     pids.write_text(f"{os.getpid()} {child.pid}")
     limit_time(SHORT)
-    threading.Lock().acquire() and threading.Event().wait()
+    threading.Event().wait(WAIT)
 
 
 def wait(pids: Path) -> None:
