@@ -11,14 +11,10 @@ import trajopt
 from tests.support.problems import landing, still
 from tests.support.refusals import refused
 from tests.support.synthetic_motions import Motion, sampled, with_meta
-from trajopt.certify.check import check
+from trajopt import Contact, FlatGround, InputError, Robot, Solution, check
 from trajopt.certify.report import Tolerances
-from trajopt.errors import InputError, SolutionFileError
-from trajopt.motion.solution import Solution
-from trajopt.robot.contact import Contact
-from trajopt.robot.robot import Robot
-from trajopt.terrain.flat import FlatGround
-from trajopt.terrain.surface import Surface
+from trajopt.errors import SolutionFileError
+from trajopt.terrain import Surface
 from trajopt_library import problems
 
 EXACT = 1e-9  # a body at rest; only rounding remains

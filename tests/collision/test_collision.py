@@ -10,17 +10,11 @@ from tests.support.problems import hop
 from tests.support.refusals import refused
 from tests.support.solved_problems import motion
 from trajopt import _numeric
+from trajopt.collision import BoxObstacle, CapsuleObstacle, CollisionScene, robot_shapes
 from trajopt.collision.coal_shapes import coal_link, coal_obstacle
-from trajopt.collision.description import robot_shapes
 from trajopt.collision.joint_distance import REACH, STEP, JointDistances
-from trajopt.collision.near import CollisionScene, separable_pairs
-from trajopt.collision.shapes import (
-    BoxObstacle,
-    CapsuleObstacle,
-    LinkShape,
-    SphereObstacle,
-    obstacle_from_description,
-)
+from trajopt.collision.near import separable_pairs
+from trajopt.collision.shapes import LinkShape, SphereObstacle, obstacle_from_description
 from trajopt.problem.bodies import bodies_of
 from trajopt_library import robots
 

@@ -9,8 +9,10 @@ import pytest
 
 import trajopt
 from tests.support.problems import FOOT, hopper, lean
+from trajopt import InputError, Problem, Robot, Schedule, Solution
 from trajopt.certify.report import AT_POINTS
-from trajopt.dynamics.base_joint import ORDERS, base_of, virtual_order
+from trajopt.dynamics import ORDERS
+from trajopt.dynamics.base_joint import base_of, virtual_order
 from trajopt.dynamics.model_quantities import generalized_force
 from trajopt.dynamics.virtual_base import (
     angles_of,
@@ -22,17 +24,11 @@ from trajopt.dynamics.virtual_base import (
     to_free_flyer,
     virtual_model,
 )
-from trajopt.errors import InputError
-from trajopt.motion.solution import Solution
-from trajopt.problem.problem import Problem
-from trajopt.reduced.base_conversion import BaseAccelerationCost, with_virtual_base
-from trajopt.robot.actuators.drive import Drive
-from trajopt.robot.data import robot_file
-from trajopt.robot.robot import Robot
-from trajopt.robot.units import Units
-from trajopt.schedule.schedule import Schedule
+from trajopt.reduced import with_virtual_base
+from trajopt.reduced.base_conversion import BaseAccelerationCost
+from trajopt.robot import Drive, Units, robot_file
 from trajopt.terms import AccelerationCost, PostureCost, TerminalRest, TerminalState, VelocityCost
-from trajopt.transcription.transcription import transcribe
+from trajopt.transcription import transcribe
 from trajopt.view.replay.commands import Recorder
 from trajopt.view.replay.robot import draw_skeleton
 from trajopt_library import problems, robots

@@ -4,10 +4,9 @@ from functools import partial
 
 import numpy as np
 
-from trajopt.dynamics.model_quantities import contact_jacobian
-from trajopt.problem import Problem
-from trajopt.robot import Robot, Units
-from trajopt.schedule import Phase, Schedule
+from trajopt import FlatGround, Phase, Problem, Robot, Schedule
+from trajopt.dynamics import contact_jacobian
+from trajopt.robot import Units
 from trajopt.terms import (
     FrictionCone,
     PositionLimits,
@@ -19,7 +18,6 @@ from trajopt.terms import (
     contact_cones,
     effort_costs,
 )
-from trajopt.terrain.flat import FlatGround
 from trajopt_library.problems import common
 
 # A robot that floats is this many lengths higher than it stands, so that no leg meets the ground.

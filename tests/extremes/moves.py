@@ -5,12 +5,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pinocchio as pin
 
-from trajopt.problem.problem import Problem
+from trajopt import FlatGround, Phase, Problem, Robot, Schedule
+from trajopt.robot import contact_poses, frame_pose, inverse_kinematics
 from trajopt.robot.building import put_on_ground
-from trajopt.robot.kinematics import contact_poses, frame_pose, inverse_kinematics
-from trajopt.robot.robot import Robot
-from trajopt.schedule.placing import footholds_at
-from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.schedule import footholds_at
 from trajopt.terms import (
     FramePose,
     PositionLimits,
@@ -23,7 +21,6 @@ from trajopt.terms import (
     contact_cones,
     effort_costs,
 )
-from trajopt.terrain.flat import FlatGround
 
 # Duration of a phase on legs, s: long against what a step of a small quadruped takes at least.
 PHASE = 0.2

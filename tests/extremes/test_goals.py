@@ -12,13 +12,9 @@ from numpy.testing import assert_allclose
 from tests.extremes.changed_robots import limited, solo, ur5
 from tests.extremes.moves import legged, reach, stance, with_joints
 from tests.extremes.outcomes import Failed, Refused, Solved, assert_outcome
-from trajopt.motion.solution import Solution
-from trajopt.problem.problem import Problem
-from trajopt.robot.kinematics import frame_pose
-from trajopt.robot.robot import Robot
-from trajopt.schedule import middle_of
-from trajopt.schedule.placing import footholds_at
-from trajopt.schedule.schedule import Phase, Schedule
+from trajopt import FlatGround, Phase, Problem, Robot, Schedule, Solution, middle_of
+from trajopt.robot import frame_pose
+from trajopt.schedule import footholds_at
 from trajopt.solvers.status import Status
 from trajopt.terms import (
     FrameHeight,
@@ -29,7 +25,6 @@ from trajopt.terms import (
     TorqueLimits,
     VelocityLimits,
 )
-from trajopt.terrain.flat import FlatGround
 from trajopt_library import robots
 
 pytestmark = pytest.mark.long

@@ -11,24 +11,15 @@ import trajopt
 from tests.support.ground import HILLS, STAIRS
 from tests.support.refusals import refused
 from tests.support.swings import BALL, FAR, MARGIN, ROD_CAPSULES, past, rods, swing
-from trajopt.collision.description import robot_shapes, sampled_postures
+from trajopt import FlatGround, InputError, Problem, start_of
+from trajopt.collision import robot_shapes
+from trajopt.collision.description import sampled_postures
 from trajopt.collision.near import GROUND
 from trajopt.collision.shapes import LinkShape, SphereObstacle
-from trajopt.errors import InputError
-from trajopt.problem.bodies import (
-    FOOT_DEPTH,
-    GAP_SLACK,
-    MORE_DEPTH,
-    ProblemBodies,
-    bodies_of,
-    clearance_of,
-)
-from trajopt.problem.problem import Problem
-from trajopt.schedule import start_of
+from trajopt.problem.bodies import FOOT_DEPTH, GAP_SLACK, MORE_DEPTH, ProblemBodies, bodies_of, clearance_of
 from trajopt.solving.extraction import described_bodies
 from trajopt.solving.rest import rest
 from trajopt.terms import Clearance, FramePose, Term, TerminalPosture, TerminalState
-from trajopt.terrain.flat import FlatGround
 from trajopt_library import robots
 
 EXACT = 1e-8  # m; what Coal's iterations leave for balls and capsules

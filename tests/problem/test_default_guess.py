@@ -8,14 +8,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 import trajopt
-from trajopt import Phase, Problem, Schedule, end_of, terms
-from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
-from trajopt.problem.guessing import PosturePath, default_guess
-from trajopt.problem.periodicity import Periodicity
-from trajopt.robot import edge_contacts, with_edges
-from trajopt.robot.kinematics import contact_positions, frame_pose
-from trajopt.robot.robot import Robot
-from trajopt.schedule import footholds_at, middle_of
+from trajopt import Phase, Problem, Robot, Schedule, end_of, middle_of, terms
+from trajopt.dynamics import STANDARD_GRAVITY
+from trajopt.problem import Periodicity, PosturePath, default_guess
+from trajopt.robot import contact_positions, edge_contacts, frame_pose, with_edges
+from trajopt.schedule import footholds_at
 from trajopt.terrain import Ramp, SmoothTerrain
 from trajopt_library import robots
 from trajopt_library.problems.bipeds import biped

@@ -9,17 +9,16 @@ import pinocchio as pin
 import pytest
 
 import trajopt
+from trajopt import FlatGround, InputError, Phase, Problem, Schedule
 from trajopt.certify.report import RESIDUAL
-from trajopt.dynamics.manifold import Coordinates
-from trajopt.errors import InputError
+from trajopt.dynamics import Coordinates
 from trajopt.motion.configurations import SolutionMotion
 from trajopt.motion.cycles import periodic_image
 from trajopt.motion.description import PeriodicImage
-from trajopt.problem.periodicity import Periodicity, closing_map, landing_at_start
-from trajopt.problem.problem import Problem
-from trajopt.robot.kinematics import contact_positions, inverse_kinematics
+from trajopt.problem import Periodicity
+from trajopt.problem.periodicity import closing_map, landing_at_start
+from trajopt.robot import contact_positions, inverse_kinematics
 from trajopt.robot.mirror import find_mirror, mirrored_configuration
-from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.terms import (
     AccelerationCost,
     FrictionPyramid,
@@ -30,7 +29,6 @@ from trajopt.terms import (
     VelocityCost,
     WrenchCost,
 )
-from trajopt.terrain.flat import FlatGround
 from trajopt_library.robots import hopper, solo12
 
 SPEED, PERIOD = 0.4, 0.4  # m/s, s

@@ -9,13 +9,11 @@ from numpy.testing import assert_allclose
 from scipy.optimize import linprog
 
 from tests.support.solved_problems import motion
-from trajopt.certify.check import check
+from trajopt import InputError, Problem, Robot, Solution, check
 from trajopt.certify.report import AT_POINTS
-from trajopt.dynamics.model_quantities import contact_jacobian, gravity_of, mass_of
-from trajopt.errors import InputError
-from trajopt.motion.solution import Solution
-from trajopt.problem.problem import Problem
-from trajopt.robot import Robot, biped_legs, contact_poses
+from trajopt.dynamics import contact_jacobian, gravity_of
+from trajopt.dynamics.model_quantities import mass_of
+from trajopt.robot import biped_legs, contact_poses
 from trajopt.robot.sole import centre_of_pressure
 from trajopt.solving.solving import solve
 from trajopt_library import problems

@@ -10,20 +10,14 @@ from numpy.testing import assert_allclose
 
 import trajopt
 from tests.support.refusals import refused
+from trajopt import FlatGround, InputError, Problem, Schedule
 from trajopt.certify.report import AT_POINTS
-from trajopt.dynamics.model_quantities import gravity_of
-from trajopt.errors import InputError
-from trajopt.problem.problem import Problem
-from trajopt.reduced.gaits import Pace
-from trajopt.reduced.over_terrain import plan_over_terrain, standing_on
-from trajopt.robot.kinematics import contact_positions
-from trajopt.robot.legs import quadruped_legs
-from trajopt.schedule.gait_transitions import transition
-from trajopt.schedule.gaits import gait_of
-from trajopt.schedule.schedule import Schedule
-from trajopt.terrain.flat import FlatGround
-from trajopt.terrain.piecewise import PiecewiseTerrain
-from trajopt.terrain.smooth import SmoothTerrain
+from trajopt.dynamics import gravity_of
+from trajopt.reduced import Pace, plan_over_terrain
+from trajopt.reduced.over_terrain import standing_on
+from trajopt.robot import contact_positions, quadruped_legs
+from trajopt.schedule import gait_of, transition
+from trajopt.terrain import PiecewiseTerrain, SmoothTerrain
 from trajopt.terrain.swing_paths import swing_profile
 from trajopt_library import problems, robots
 from trajopt_library.problems.gait_common import STYLES

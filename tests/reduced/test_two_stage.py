@@ -12,22 +12,13 @@ from scipy.optimize import linprog
 
 import trajopt
 from tests.support.problems import FOOT, hop, hopper, reach
+from trajopt import InputError, Problem, Solution
 from trajopt.certify.report import AT_POINTS
-from trajopt.dynamics.model_quantities import contact_jacobian
-from trajopt.errors import InputError
+from trajopt.dynamics import contact_jacobian
 from trajopt.motion.samples import sample_quantities
-from trajopt.motion.solution import Solution
-from trajopt.problem.problem import Problem
-from trajopt.reduced.two_stage import (
-    base_rows_problem,
-    recover_torques,
-    standing_share,
-    torque_bounds,
-    torque_terms,
-)
-from trajopt.reduced.wrench_distribution import redistribute_wrenches
-from trajopt.robot.actuators.drive import Drive
-from trajopt.robot.units import Units
+from trajopt.reduced import base_rows_problem, recover_torques, redistribute_wrenches
+from trajopt.reduced.two_stage import standing_share, torque_bounds, torque_terms
+from trajopt.robot import Drive, Units
 from trajopt.solving.extraction import extract
 from trajopt.solving.solving import prepare
 from trajopt.terms import (
@@ -42,9 +33,8 @@ from trajopt.terms import (
     TorqueLimits,
     WrenchCost,
 )
+from trajopt.transcription import Derivatives, transcribe
 from trajopt.transcription.guess import initial_guess
-from trajopt.transcription.stage_functions import Derivatives
-from trajopt.transcription.transcription import transcribe
 from trajopt_library import problems
 
 # Numeric Pinocchio against itself in another order of sums.

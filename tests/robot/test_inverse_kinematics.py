@@ -7,15 +7,14 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from trajopt.errors import InputError
-from trajopt.robot.data import robot_file
-from trajopt.robot.kinematics import (
+from trajopt import InputError, Robot
+from trajopt.robot import (
     contact_positions,
     frame_pose,
     inverse_kinematics,
     inverse_kinematics_branches,
+    robot_file,
 )
-from trajopt.robot.robot import Robot
 from trajopt_library import robots
 from trajopt_library.robots import irb1600
 

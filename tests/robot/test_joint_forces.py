@@ -10,16 +10,13 @@ from numpy.testing import assert_allclose
 
 import trajopt
 from tests.support.refusals import refused
-from trajopt.errors import InputError, UnsupportedJointError
+from trajopt import InputError, Phase, Problem, Robot, Schedule, Solution
+from trajopt.errors import UnsupportedJointError
 from trajopt.inspection.faults import find_faults
 from trajopt.inspection.standing import standing_posture
-from trajopt.motion.solution import Solution
-from trajopt.problem.problem import Problem
 from trajopt.robot import Drive, JointForce
 from trajopt.robot.actuators.joint_force import SPRING
 from trajopt.robot.joint_checks import joints_without_inertia
-from trajopt.robot.robot import Robot
-from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.terms import TerminalRest, TerminalState, TorqueCost, effort_costs
 from trajopt_library import problems, robots
 

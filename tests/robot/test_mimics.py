@@ -10,11 +10,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 import trajopt
-from trajopt.errors import InputError, UnsupportedJointError
-from trajopt.motion.solution import Solution
-from trajopt.problem import Problem
-from trajopt.robot import Contact, JointForce, MimicJoint, Robot, frame_pose, inverse_kinematics
-from trajopt.schedule import Phase, Schedule
+from trajopt import Contact, InputError, Phase, Problem, Robot, Schedule, Solution
+from trajopt.errors import UnsupportedJointError
+from trajopt.robot import JointForce, MimicJoint, frame_pose, inverse_kinematics
 from trajopt.terms import (
     PositionLimits,
     TerminalRest,

@@ -8,20 +8,12 @@ import pinocchio as pin
 import pytest
 
 from tests.support.problems import FOOT, hopper
-from trajopt.certify.check import check
+from trajopt import Contact, FlatGround, InputError, Phase, Problem, Robot, Schedule, check
 from trajopt.certify.report import AT_POINTS
-from trajopt.errors import InputError, UnsupportedJointError
-from trajopt.problem.problem import Problem
-from trajopt.robot.actuators.drive import Drive
-from trajopt.robot.contact import Contact
-from trajopt.robot.data import robot_file
-from trajopt.robot.robot import Robot
-from trajopt.robot.stance.minimal_coordinates import StanceMode, stance_mode
-from trajopt.robot.units import Units
-from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.errors import UnsupportedJointError
+from trajopt.robot import Drive, StanceMode, Units, robot_file, stance_mode
 from trajopt.solving.solving import solve
 from trajopt.terms import AccelerationCost, PostureCost, TorqueCost, VelocityCost
-from trajopt.terrain.flat import FlatGround
 from trajopt_library import robots
 
 

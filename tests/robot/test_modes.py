@@ -10,14 +10,10 @@ from numpy.testing import assert_allclose
 import trajopt
 from tests.support.derivatives import Matrices, assert_derivatives, random_unknowns
 from tests.support.problems import FOOT, hop, hopper
+from trajopt import FlatGround, InputError, Phase, Robot, Schedule, Solution
 from trajopt.certify.report import AT_POINTS
-from trajopt.errors import InputError
 from trajopt.motion.samples import contact_places
-from trajopt.motion.solution import Solution
-from trajopt.robot.data import robot_file
-from trajopt.robot.robot import Robot
-from trajopt.robot.stance.minimal_coordinates import stance_mode
-from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.robot import robot_file, stance_mode
 from trajopt.solving.solving import prepare
 from trajopt.solving.solving import solve as solve_on_mesh
 from trajopt.terms import (
@@ -29,7 +25,6 @@ from trajopt.terms import (
     VelocityCost,
     WrenchCost,
 )
-from trajopt.terrain.flat import FlatGround
 from trajopt.transcription.timeline import StageKind
 from trajopt.transcription.transcription import Transcription
 from trajopt_library import problems

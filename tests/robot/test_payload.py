@@ -12,17 +12,12 @@ from numpy.testing import assert_allclose, assert_array_equal
 import trajopt
 from tests.support.refusals import refused
 from tests.support.solved_problems import motion
+from trajopt import Contact, FlatGround, InputError, Phase, Problem, Robot, Schedule, Solution
 from trajopt.certify.report import AT_POINTS, RESIDUAL
-from trajopt.errors import InputError
 from trajopt.motion.carried import payload_wrenches
-from trajopt.motion.solution import Solution
-from trajopt.problem.problem import Problem
-from trajopt.robot import Drive, Robot, Thruster, robot_file
-from trajopt.robot.contact import Contact
-from trajopt.robot.payload import Payload, loaded, payload_wrench
-from trajopt.schedule import Phase, Schedule
+from trajopt.robot import Drive, Payload, Thruster, robot_file
+from trajopt.robot.payload import loaded, payload_wrench
 from trajopt.terms import TerminalRest, TerminalState, TorqueLimits, effort_costs
-from trajopt.terrain.flat import FlatGround
 from trajopt_library import robots
 from trajopt_library.problems import ur5_reach
 

@@ -8,10 +8,9 @@ import pinocchio as pin
 import pytest
 
 from tests.support.refusals import refused
-from trajopt.errors import InputError
-from trajopt.robot.contact import Contact
-from trajopt.robot.data import VisualSource, robot_file
-from trajopt.robot.robot import Robot
+from trajopt import Contact, InputError, Robot
+from trajopt.robot import robot_file
+from trajopt.robot.data import VisualSource
 from trajopt_library import robots
 
 FEET = ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")

@@ -9,10 +9,8 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from tests.support.refusals import refused
-from trajopt.errors import InputError
-from trajopt.robot.kinematics import contact_positions
-from trajopt.robot.legs import legs_only
-from trajopt.robot.robot import Robot
+from trajopt import InputError, Robot
+from trajopt.robot import contact_positions, legs_only
 from trajopt_library import robots
 
 ROUNDING = 1e-12  # metres, after a few multiplications of numbers near one

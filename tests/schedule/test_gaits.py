@@ -10,16 +10,12 @@ from numpy.testing import assert_allclose
 
 from tests.support.models import random_state
 from tests.support.refusals import refused
-from trajopt.errors import InputError
-from trajopt.robot import edge_contacts
-from trajopt.robot.legs import biped_legs, feet_in_base, quadruped_legs
-from trajopt.schedule import END, Moment, end_of, middle_of, rolled, start_of
-from trajopt.schedule.gaits import BIPED, HOPPER, LEAST_SHARE, QUADRUPED, Gait, gait_of
-from trajopt.schedule.moment import Target
-from trajopt.schedule.schedule import Phase, Schedule
+from trajopt import FlatGround, InputError, Moment, Phase, Schedule, end_of, middle_of, start_of
+from trajopt.robot import biped_legs, edge_contacts, feet_in_base, quadruped_legs
+from trajopt.schedule import BIPED, END, QUADRUPED, Gait, Target, gait_of, rolled
+from trajopt.schedule.gaits import HOPPER, LEAST_SHARE
 from trajopt.terms import swing_arcs
 from trajopt.terrain import Patch, Surface
-from trajopt.terrain.flat import FlatGround
 from trajopt_library import robots
 
 PERIOD = 0.8

@@ -22,12 +22,9 @@ from tests.support.problems import (
     reach,
     still,
 )
+from trajopt import InputError, Moment, Phase, Problem, Schedule
 from trajopt.certify.report import AT_POINTS
-from trajopt.dynamics.model_quantities import contact_jacobian
-from trajopt.errors import InputError
-from trajopt.problem.problem import Problem
-from trajopt.schedule import Moment
-from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.dynamics import contact_jacobian
 from trajopt.solving.solving import prepare
 from trajopt.terms import (
     AccelerationCost,

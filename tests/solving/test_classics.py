@@ -11,15 +11,12 @@ from numpy.testing import assert_allclose
 
 import trajopt
 from tests.support.solved_problems import motion
-from trajopt.certify.check import check
+from trajopt import InputError, Problem, Robot, Solution, check
 from trajopt.certify.report import AT_POINTS
 from trajopt.collision import BoxObstacle
-from trajopt.errors import InputError, SolutionFileError
-from trajopt.motion.energy_use import cost_of_transport
-from trajopt.motion.solution import Solution
-from trajopt.problem.problem import Problem
-from trajopt.robot import Robot
-from trajopt.robot.kinematics import contact_positions
+from trajopt.errors import SolutionFileError
+from trajopt.motion import cost_of_transport
+from trajopt.robot import contact_positions
 from trajopt.solving.solving import solve
 from trajopt.terms import Clearance, Cost, TorqueCost
 from trajopt_library import problems, robots

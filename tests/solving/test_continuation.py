@@ -13,10 +13,7 @@ from tests.support.command_lines import assert_refused, invoke
 from tests.support.problems import REACH_TIME, inertia, limited_reach, reach
 from tests.support.swings import BALL, FAR, POLE, past
 from tests.support.swings import swing as rods_swing
-from trajopt import Solution, continuation, solve_ladder
-from trajopt.certify.check import check
-from trajopt.errors import InputError
-from trajopt.problem.problem import Problem
+from trajopt import InputError, Problem, Solution, check, continuation, solve_ladder
 from trajopt.solving.continuation import NEAREST_SOLVES, Continuation, nearest
 from trajopt.solving.solving import solve
 from trajopt.terms import TerminalRest, TerminalState, TorqueCost, TorqueLimits, VelocityCost

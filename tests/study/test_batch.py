@@ -16,12 +16,11 @@ from tests.support import batch_problems
 from tests.support.batch_problems import FATES, runs
 from tests.support.packages import installed
 from tests.support.refusals import assert_refused_in_one_line
-from trajopt import Solution, check
-from trajopt.study.batch.batch import BatchDataset, batch, dataset
+from trajopt import Solution, batch, check, dataset
+from trajopt.study import BatchCase, BatchDataset, BatchSettings, batch_cases
 from trajopt.study.batch.engine import run_batch
 from trajopt.study.batch.records import BatchRecords
-from trajopt.study.batch.solved_case import BatchSettings, CaseResult
-from trajopt.study.batch.variation import BatchCase, batch_cases
+from trajopt.study.batch.solved_case import CaseResult
 from trajopt.study.tasks import local_executor, open_workers
 
 pytestmark = pytest.mark.long

@@ -10,11 +10,10 @@ import pytest
 
 from tests.support import suite_problems
 from tests.support.packages import installed
-from trajopt import Solution, check, solve
-from trajopt.errors import InputError
+from trajopt import InputError, Solution, check, solve
 from trajopt.motion.grid import mesh_of
 from trajopt.motion.statistics import SolveStatistics
-from trajopt.problem.catalogue import families
+from trajopt.problem import families
 from trajopt.solvers.status import Status
 from trajopt.study import solves
 from trajopt.study.suite.cases import Case, all_cases, select

@@ -22,12 +22,9 @@ from tests.support.processes import (
     no_task_process_left,
     task_processes,
 )
-from trajopt import solve
-from trajopt.certify.accuracy.measures import measure
-from trajopt.errors import InputError
-from trajopt.motion.solution import Solution
-from trajopt.problem import Problem
-from trajopt.reduced.two_stage import base_rows_problem
+from trajopt import InputError, Problem, Solution, solve
+from trajopt.certify.accuracy import measure
+from trajopt.reduced import base_rows_problem
 from trajopt.study.display import TaskDisplay
 from trajopt.study.processes import LOST, REFUSED
 from trajopt.study.sweep.engine import Sweep, cores_for, physical_cores

@@ -13,18 +13,13 @@ from tests.support.goals import integral, objective, sampled, wandering, with_te
 from tests.support.problems import FOOT, REACH, hop, hopper, one_joint_arm, reach
 from tests.support.scenes import biped, push, usual
 from tests.support.synthetic_motions import with_meta
-from trajopt.errors import InputError
-from trajopt.motion.energy_use import cost_of_transport, energy
-from trajopt.problem.problem import Problem
-from trajopt.reduced.scenes.smallest_scene import smallest
-from trajopt.robot.actuators.drive import Drive
-from trajopt.robot.kinematics import frame_pose
-from trajopt.robot.robot import Robot
-from trajopt.robot.units import Units
-from trajopt.schedule import Moment, end_of, middle_of
-from trajopt.schedule.schedule import Phase, Schedule
+from trajopt import FlatGround, InputError, Moment, Phase, Problem, Robot, Schedule, end_of, middle_of
+from trajopt.motion import cost_of_transport, energy
+from trajopt.reduced.scenes import smallest
+from trajopt.robot import Drive, Units, frame_pose
 from trajopt.solving.solving import prepare, solve
 from trajopt.terms import (
+    REST,
     AccelerationCost,
     DistanceCost,
     FrameHeightCost,
@@ -41,9 +36,8 @@ from trajopt.terms import (
     goal_terms,
 )
 from trajopt.terms.drives import heat_coefficients
-from trajopt.terms.objectives import GOALS, REST, REST_OF_LINEAR
+from trajopt.terms.objectives import GOALS, REST_OF_LINEAR
 from trajopt.terms.tracking import key_frames
-from trajopt.terrain.flat import FlatGround
 from trajopt_library import problems
 from trajopt_library.robots.ur5 import TOOL
 

@@ -12,18 +12,12 @@ from scipy.optimize import minimize
 from tests.support.problems import FOOT, hop, hopper
 from tests.support.refusals import assert_refused_in_one_line
 from tests.support.synthetic_motions import sampled, standing, with_meta
-from trajopt.certify.check import check
+from trajopt import FlatGround, InputError, Phase, Problem, Robot, Schedule, Solution, check, start_of
 from trajopt.certify.report import AT_POINTS
-from trajopt.dynamics.manifold import Coordinates
-from trajopt.errors import InputError, SolutionFileError
-from trajopt.motion import Solution
-from trajopt.problem import Problem
+from trajopt.dynamics import Coordinates
+from trajopt.errors import SolutionFileError
 from trajopt.reduced import BaseWaypoint, legged_guess
-from trajopt.robot import contact_positions, quadruped_legs
-from trajopt.robot.robot import Robot
-from trajopt.robot.units import Units
-from trajopt.schedule import start_of
-from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.robot import Units, contact_positions, quadruped_legs
 from trajopt.solving.solving import solve
 from trajopt.terms import (
     AccelerationCost,
@@ -44,11 +38,7 @@ from trajopt.terms import (
     WrenchCost,
     swing_clearance,
 )
-from trajopt.terrain import smooth_step, swing_path
-from trajopt.terrain.flat import FlatGround
-from trajopt.terrain.patch import Patch
-from trajopt.terrain.piecewise import PiecewiseTerrain
-from trajopt.terrain.surface import Surface
+from trajopt.terrain import Patch, PiecewiseTerrain, Surface, smooth_step, swing_path
 from trajopt.transcription.mesh import equal_fractions
 from trajopt_library import problems, robots
 

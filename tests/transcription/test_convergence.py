@@ -8,14 +8,12 @@ from numpy.testing import assert_allclose
 
 from tests.support.problems import SCHEME_ORDERS, hopper
 from tests.support.tumbling import DURATION, Interval, errors_at_the_end, slope, start, torque
-from trajopt.problem.problem import Problem
-from trajopt.schedule.schedule import Phase, Schedule
+from trajopt import FlatGround, Phase, Problem, Schedule
 from trajopt.solvers.drivers import run_solver
 from trajopt.solvers.result import StoppingCriteria
 from trajopt.solvers.status import Status
 from trajopt.solving.extraction import extract
 from trajopt.solving.solving import PreparedProblem, prepare
-from trajopt.terrain.flat import FlatGround
 from trajopt.transcription.guess import perturbed
 from trajopt.transcription.schemes import scheme
 from trajopt_library import problems

@@ -8,18 +8,16 @@ from numpy.polynomial import Polynomial
 from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.support.problems import hop, lean
-from trajopt.certify.check import check
-from trajopt.errors import InputError
-from trajopt.motion.energy_use import energy
+from trajopt import InputError, Moment, Phase, Solution, check, end_of, middle_of, start_of
+from trajopt.motion import energy
 from trajopt.motion.grid import interpolated, mesh_of
-from trajopt.motion.solution import Solution
-from trajopt.schedule import END, Moment, Phase, end_of, middle_of, start_of
+from trajopt.schedule import END
 from trajopt.solving.solving import prepare, solve
 from trajopt.terms import NodePlace
 from trajopt.terms.interfaces import nodes_of
+from trajopt.transcription import transcribe
 from trajopt.transcription.mesh import Mesh, PhaseMesh, equal_fractions
 from trajopt.transcription.schemes import FAMILIES, scheme
-from trajopt.transcription.transcription import transcribe
 
 # Step of central differences, and what their truncation and rounding leave of entries of order one.
 STEP, DIFFERENCES = 1e-6, 1e-6

@@ -9,9 +9,8 @@ from scipy import sparse
 from tests.support.problems import hop
 from tests.support.registers import REGISTERS, registers
 from trajopt import _engine
+from trajopt.transcription import Derivatives, transcribe
 from trajopt.transcription.sparse_maps import DerivativeMap, Pattern, SparseMatrix, hessian_map, jacobian_map
-from trajopt.transcription.stage_functions import Derivatives
-from trajopt.transcription.transcription import transcribe
 
 # Products and sums may be rounded once together, and only there.
 ROUNDING = 1e-13

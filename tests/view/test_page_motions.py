@@ -21,13 +21,11 @@ from tests.support.browser import (
     until,
 )
 from tests.support.synthetic_motions import arm_motion, sampled
-from trajopt.errors import InputError, TrajoptError
+from trajopt import InputError, Solution, TrajoptError, replay
 from trajopt.motion.configurations import geodesic_configurations
-from trajopt.motion.solution import Solution
-from trajopt.problem.catalogue import families
+from trajopt.problem import families
 from trajopt.view.replay.browser import EXECUTABLE_VARIABLE, chromium, find_chromium, open_page
 from trajopt.view.replay.robot import joint_path
-from trajopt.view.replay.show import replay
 from trajopt_library import robots
 
 pytestmark = pytest.mark.long

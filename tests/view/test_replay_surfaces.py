@@ -10,16 +10,13 @@ from numpy.testing import assert_allclose
 
 from tests.support.replay_pages import flying, objects_of, on_surface, placements_of, shown
 from tests.support.synthetic_motions import Motion, arm_motion, sampled, with_meta
+from trajopt import Solution, replay
 from trajopt.errors import SolutionFileError
-from trajopt.motion.solution import Solution
-from trajopt.terrain.patch import Patch
-from trajopt.terrain.piecewise import PiecewiseTerrain
-from trajopt.terrain.surface import Surface
+from trajopt.terrain import Patch, PiecewiseTerrain, Surface
 from trajopt.view.replay.commands import Recorder
 from trajopt.view.replay.ground import GRID_LIFT
 from trajopt.view.replay.motion import replay_motion
 from trajopt.view.replay.runs import drawn_runs
-from trajopt.view.replay.show import replay
 from trajopt.view.replay.surfaces import PATCH_MARGIN, THICKNESS
 from trajopt_library import robots
 from trajopt_library.robots import solo12

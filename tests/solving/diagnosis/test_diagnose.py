@@ -11,13 +11,10 @@ import trajopt
 from tests.support.diagnosed import snapshot_of, solved
 from tests.support.problems import FOOT, REACH, REACH_TIME, hop, inertia, lean, limited_reach, reach
 from tests.support.redundant_contacts import corners
-from trajopt import Problem, Robot
-from trajopt.errors import InputError
-from trajopt.robot.kinematics import contact_positions
-from trajopt.robot.units import Units
+from trajopt import InputError, Problem, Robot, diagnose
+from trajopt.robot import Units, contact_positions
 from trajopt.solving.diagnosis.conflict import BOX
 from trajopt.solving.diagnosis.contacts import _rank
-from trajopt.solving.diagnosis.diagnose import diagnose
 from trajopt.solving.diagnosis.diagnosis import Diagnosis
 from trajopt.solving.diagnosis.snapshot import Snapshot
 from trajopt.solving.solving import PreparedProblem, prepare
