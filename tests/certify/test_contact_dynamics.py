@@ -15,6 +15,7 @@ from tests.support.contact_cases import (
     vanishes,
 )
 from tests.support.models import robot
+from tests.support.refusals import refusals
 from trajopt.certify.contact.contact_dynamics import (
     ContactDynamics,
     ContactMotion,
@@ -208,18 +209,13 @@ def test_a_model_of_one_joint_is_no_special_case():
     close(found.wrenches[0, :3], across * 2.0 * GRAVITY * np.sin(0.3), RELATIVE)
 
 
-@pytest.mark.parametrize(
-    ("contacts", "arm", "message"),
-    [
-        ([("nowhere", 3)], None, "frame 'nowhere'"),
-        ([("tool0", 2)], None, "dimension 2"),
-        ([("tool0", 3)], 0.0, "moment_arm"),
-        ([("tool0", 3)], np.nan, "moment_arm"),
-    ],
+test_invalid_contacts_are_refused = refusals(
+    lambda contacts, arm: ContactSet.of(robot("ur5")[0], contacts, moment_arm=arm),
+    ([("nowhere", 3)], None, "frame 'nowhere'"),
+    ([("tool0", 2)], None, "dimension 2"),
+    ([("tool0", 3)], 0.0, "moment_arm"),
+    ([("tool0", 3)], np.nan, "moment_arm"),
 )
-def test_invalid_contacts_are_refused(contacts, arm, message):
-    with pytest.raises(InputError, match=message):
-        ContactSet.of(robot("ur5")[0], contacts, moment_arm=arm)
 
 
 def test_states_of_wrong_shape_or_value_are_refused():
@@ -444,19 +440,14 @@ def test_cone_margins_are_distances_to_coulombs_limit():
     assert cone_margins(np.zeros((0, 3)), wall, 0.5).shape == (0,)
 
 
-@pytest.mark.parametrize(
-    ("forces", "normals", "friction", "message"),
-    [
-        (np.ones(3), np.ones(3), 0.5, "wrenches"),
-        (np.ones((2, 3)), np.ones((3, 3)), 0.5, "shapes"),
-        (np.ones((2, 3)), [0.0, 0.0, 2.0], 0.5, "length one"),
-        (np.ones((2, 3)), [0.0, 0.0, np.nan], 0.5, "normals of cone_margins"),
-        (np.ones((2, 3)), [0.0, 0.0, 1.0], -0.5, "friction"),
-    ],
+test_cones_of_wrong_input_are_refused = refusals(
+    lambda forces, normals, friction: cone_margins(forces, normals, friction),
+    (np.ones(3), np.ones(3), 0.5, "wrenches"),
+    (np.ones((2, 3)), np.ones((3, 3)), 0.5, "shapes"),
+    (np.ones((2, 3)), [0.0, 0.0, 2.0], 0.5, "length one"),
+    (np.ones((2, 3)), [0.0, 0.0, np.nan], 0.5, "normals of cone_margins"),
+    (np.ones((2, 3)), [0.0, 0.0, 1.0], -0.5, "friction"),
 )
-def test_cones_of_wrong_input_are_refused(forces, normals, friction, message):
-    with pytest.raises(InputError, match=message):
-        cone_margins(forces, normals, friction)
 
 
 def test_velocities_that_are_not_finite_are_refused():

@@ -46,7 +46,6 @@ def stand(
         robot=robot,
         schedule=Schedule((Phase(name="stand", duration=time, contacts=names),)),
         terrain=FlatGround(friction=friction),
-        initial_q=robot.reference,
         initial_v=feet_still(robot, Units(robot).twist * push),
         terms=(
             *(effort_costs() if costs is None else costs),
@@ -85,9 +84,7 @@ def turn_over(robot: Robot, *, yaw: float, duration: float) -> Problem:
         name="turn-over",
         robot=robot,
         schedule=Schedule((Phase(name="float", duration=duration),)),
-        terrain=FlatGround(),
         initial_q=start,
-        initial_v=np.zeros(robot.nv),
         terms=(*effort_costs(), TorqueLimits(), VelocityLimits(), TerminalState(q=end), TerminalRest(q=end)),
         guess=partial(_turning, robot, yaw, duration),
         default_intervals=12,

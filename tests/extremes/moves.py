@@ -45,7 +45,6 @@ def reach(
         name="reach",
         robot=robot,
         schedule=Schedule((Phase(name="reach", duration=duration),)),
-        terrain=FlatGround(),
         initial_q=start,
         initial_v=np.zeros(robot.nv) if velocity is None else velocity,
         terms=(
@@ -130,7 +129,6 @@ def legged(
         schedule=schedule,
         terrain=FlatGround(friction=0.7) if ground is None else ground,
         initial_q=start,
-        initial_v=np.zeros(robot.nv),
         terms=(
             *effort_costs(),
             TorqueLimits(),

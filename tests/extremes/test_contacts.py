@@ -153,7 +153,6 @@ def standing_hopper(robot: Robot, names: tuple[str, ...] | None = None, wrench: 
         schedule=Schedule((Phase(name="stance", duration=0.4, contacts=names or every),)),
         terrain=FlatGround(friction=0.7),
         initial_q=q,
-        initial_v=np.zeros(robot.nv),
         terms=(
             TorqueCost(weight=1.0),
             PostureCost(weight=1.0),

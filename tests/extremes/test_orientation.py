@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 
 from tests.extremes.moves import reach
 from tests.extremes.outcomes import Failed, Refused, Solved, assert_outcome
-from trajopt import FlatGround, Phase, Problem, Robot, Schedule, Solution
+from trajopt import Phase, Problem, Robot, Schedule, Solution
 from trajopt.dynamics import STANDARD_GRAVITY
 from trajopt.reduced import with_virtual_base
 from trajopt.solvers.status import Status
@@ -70,7 +70,6 @@ def thrown(robot: Robot, omega: np.ndarray, duration: float, terms: tuple = (), 
             name="thrown",
             robot=robot,
             schedule=Schedule((Phase(name="flight", duration=duration),)),
-            terrain=FlatGround(),
             initial_q=start,
             initial_v=velocity,
             terms=terms,

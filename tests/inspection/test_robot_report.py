@@ -142,7 +142,6 @@ def test_a_radius_that_is_not_the_foots_is_a_warning_with_the_right_one() -> Non
     assert "15 mm" in report.table()
 
 
-INERTIA = r'(<link name="lf_shank">.*?)<inertial>.*?</inertial>'
 SHANK = r'(<link name="lf_shank">.*?<inertia) ixx="[^"]*"(.*?)iyy="[^"]*"(.*?)izz="[^"]*"'
 
 

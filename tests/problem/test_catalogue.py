@@ -16,6 +16,7 @@ from numpy.testing import assert_array_equal
 
 import trajopt
 from tests.support.command_lines import assert_refused, invoke
+from tests.support.refusals import refused_calls
 from trajopt import InputError, Problem, TrajoptError
 from trajopt.errors import WIDTH, UnsupportedJointError, shown
 from trajopt.problem import Parameter, catalogue, families
@@ -170,20 +171,16 @@ def test_what_a_solution_says_of_such_a_robot_is_not_looked_up() -> None:
         families()["arm-reach"].of_file(problem.parameters)
 
 
-def test_a_robot_that_does_not_suit_is_named() -> None:
-    with pytest.raises(InputError, match="'go2' has no tool: it is not an arm"):
-        trajopt.load("arm-reach", robot=robots.load("go2"))
-    with pytest.raises(InputError, match="no parameter 'robot'"):
-        trajopt.load("solo12-jump", robot=robots.load("solo12"))
-    with pytest.raises(InputError, match="parameter robot=3; allowed: a name"):
-        trajopt.load("arm-reach", robot=3)
-
-
-def test_other_objects_are_named_by_their_kind() -> None:
-    with pytest.raises(InputError, match="parameter robot=a Model; allowed"):
-        trajopt.load("arm-reach", robot=robots.load("ur5").model)
-    with pytest.raises(InputError, match="parameter duration=a Robot is not a number"):
-        trajopt.load("arm-reach", duration=robots.load("ur5"))
+test_what_cannot_be_is_refused = refused_calls(
+    (lambda: trajopt.load("arm-reach", robot=robots.load("go2")), "'go2' has no tool: it is not an arm"),
+    (lambda: trajopt.load("solo12-jump", robot=robots.load("solo12")), "no parameter 'robot'"),
+    (lambda: trajopt.load("arm-reach", robot=3), "parameter robot=3; allowed: a name"),
+    (lambda: trajopt.load("arm-reach", robot=robots.load("ur5").model), "parameter robot=a Model; allowed"),
+    (
+        lambda: trajopt.load("arm-reach", duration=robots.load("ur5")),
+        "parameter duration=a Robot is not a number",
+    ),
+)
 
 
 def test_kind_and_tool_of_a_robot_are_those_of_its_file() -> None:

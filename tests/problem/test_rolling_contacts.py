@@ -13,6 +13,7 @@ from tests.support.balls import RADIUS, WAVES, ball_hopper, ground_slope, landin
 from tests.support.contact_cases import body, close, independent
 from tests.support.ground import HILLS, STAIRS
 from tests.support.problems import FOOT, hop, hopper, phases
+from tests.support.refusals import refusals, refused_calls
 from tests.support.synthetic_motions import with_meta
 from trajopt.certify.check import check
 from trajopt.certify.contact.contact_dynamics import ContactDynamics, forward_dynamics
@@ -223,20 +224,11 @@ def test_files_say_which_contacts_roll(tmp_path):
         with_meta(walk(), contact_radius=[0.0] * 4)
 
 
-@pytest.mark.parametrize(
-    ("robot", "words"),
-    [("talos:rolling", "'talos' has no contact that could roll"), ("go3:rolling", "'go3' is unknown")],
+test_names_of_robots_that_cannot_roll_are_refused = refusals(
+    lambda robot: trajopt.robot(robot),
+    ("talos:rolling", "'talos' has no contact that could roll"),
+    ("go3:rolling", "'go3' is unknown"),
 )
-def test_names_of_robots_that_cannot_roll_are_refused(robot, words):
-    with pytest.raises(InputError, match=words):
-        trajopt.robot(robot)
-
-
-def test_only_balls_roll():
-    with pytest.raises(InputError, match="contact 'toe' rolls and has no radius"):
-        Contact(frame="toe", rolling=True)
-    with pytest.raises(InputError, match="no contact that could roll"):
-        hopper().with_rolling_contacts()
 
 
 def landing_with(**surface: object) -> Problem:
@@ -292,9 +284,14 @@ def test_a_radius_is_a_length(radius):
         Contact(frame="toe", radius=radius)
 
 
-def test_a_sole_has_no_radius():
-    with pytest.raises(InputError, match="surface contact 'sole' has a radius"):
-        Contact(frame="sole", kind="surface", half_length=0.1, half_width=0.05, radius=0.01)
+test_what_cannot_be_is_refused = refused_calls(
+    (lambda: Contact(frame="toe", rolling=True), "contact 'toe' rolls and has no radius"),
+    (lambda: hopper().with_rolling_contacts(), "no contact that could roll"),
+    (
+        lambda: Contact(frame="sole", kind="surface", half_length=0.1, half_width=0.05, radius=0.01),
+        "surface contact 'sole' has a radius",
+    ),
+)
 
 
 def test_a_reference_posture_stands_on_the_ball():

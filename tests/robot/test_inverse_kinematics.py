@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pinocchio as pin
 import pytest
+from numpy.testing import assert_allclose
 
 from trajopt import InputError, Robot
 from trajopt.robot import (
@@ -118,7 +119,7 @@ def test_every_branch_reaches_the_pose_within_limits_and_the_nearest_comes_first
         assert np.linalg.norm(error) < REFINED
         assert (posture.q >= robot.position_lower - REFINED).all()
         assert (posture.q <= robot.position_upper + REFINED).all()
-    np.testing.assert_allclose(found[0].q, q, atol=ANGLE)
+    assert_allclose(found[0].q, q, atol=ANGLE)
     distances = [np.linalg.norm(posture.q - q) for posture in found]
     assert distances == sorted(distances)
 
@@ -165,9 +166,7 @@ def test_position_alone_on_a_six_joint_arm_is_redundant_too():
     found = inverse_kinematics_branches(robot, {irb1600.TOOL: np.array([0.9, 0.2, 0.8])}, starts=32)
     assert len(found) > 1
     for posture in found:
-        np.testing.assert_allclose(
-            pose(robot, posture.q, irb1600.TOOL).translation, [0.9, 0.2, 0.8], atol=REFINED
-        )
+        assert_allclose(pose(robot, posture.q, irb1600.TOOL).translation, [0.9, 0.2, 0.8], atol=REFINED)
 
 
 def test_search_is_deterministic_and_nothing_out_of_reach_is_found():
@@ -191,9 +190,9 @@ def test_frames_and_contacts_are_where_the_joints_carry_them():
     for contact in robot.contacts:
         frame = robot.model.frames[robot.model.getFrameId(contact.frame)]
         carried = data.oMi[frame.parentJoint] * frame.placement
-        np.testing.assert_allclose(places[contact.name], carried.translation, atol=ROUNDING)
+        assert_allclose(places[contact.name], carried.translation, atol=ROUNDING)
         found = frame_pose(robot, q, contact.frame)
-        np.testing.assert_allclose(found.homogeneous, carried.homogeneous, atol=ROUNDING)
+        assert_allclose(found.homogeneous, carried.homogeneous, atol=ROUNDING)
 
 
 def test_pose_of_an_unknown_frame_names_those_close_to_it():

@@ -36,8 +36,6 @@ INTERVALS = 40
 # 2.0e-6 at 160. So one optimum, met to what the grid leaves.
 SAME_OPTIMUM = 5e-4
 SAME_MOTION = 5e-3  # rad and m
-# Rows of a transcription are met to 1e-7 of weight and length.
-MET = 1e-5
 
 
 @lru_cache
@@ -231,8 +229,6 @@ def two_legs() -> trajopt.Problem:
             )
         ),
         terrain=ground,
-        initial_q=robot.reference,
-        initial_v=np.zeros(robot.nv),
         terms=(
             TorqueCost(weight=1.0),
             WrenchCost(weight=1e-2),

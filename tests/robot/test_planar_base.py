@@ -92,8 +92,6 @@ def hop(robot: Robot) -> Problem:
             )
         ),
         terrain=ground,
-        initial_q=robot.reference,
-        initial_v=np.zeros(robot.nv),
         terms=(
             TorqueCost(weight=1.0),
             AccelerationCost(weight=2e-2, joints_only=True),

@@ -63,8 +63,6 @@ def solo_hop() -> Problem:
             )
         ),
         terrain=ground,
-        initial_q=robot.reference,
-        initial_v=np.zeros(robot.nv),
         terms=(
             TorqueCost(weight=1.0),
             AccelerationCost(weight=2e-2),

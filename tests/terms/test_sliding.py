@@ -17,7 +17,7 @@ from tests.support.refusals import refused
 from tests.support.replay_pages import objects_of, placements_of, shown
 from tests.support.swings import BALL, FAR, MARGIN, POLE, ROD_CAPSULES, avoided, past, swing
 from tests.support.synthetic_motions import with_meta
-from trajopt import Contact, FlatGround, InputError, Phase, Problem, Robot, Schedule, Solution, check
+from trajopt import Contact, InputError, Phase, Problem, Robot, Schedule, Solution, check
 from trajopt.certify import ContactSet
 from trajopt.certify.contact.contact_dynamics import ContactDynamics
 from trajopt.certify.report import AT_POINTS
@@ -68,7 +68,6 @@ def sliding_block(surface: Surface, velocity: np.ndarray) -> Problem:
         schedule=Schedule(
             (Phase(name="slide", duration=DURATION, contacts=("block",), surfaces={"block": surface}),)
         ),
-        terrain=FlatGround(),
         initial_q=np.zeros(3),
         initial_v=velocity,
         terms=(AccelerationCost(weight=1.0),),
@@ -87,7 +86,7 @@ def test_a_block_is_braked_by_friction_on_a_plane(angle):
     braking = GRAVITY * (np.sin(angle) + FRICTION * np.cos(angle))
     expected = SPEED * DURATION - braking * DURATION**2 / 2
     # Friction below mu f_n by half (v_s / v)^2, and the collocation of its change.
-    np.testing.assert_allclose(solution.q[-1], expected * up, atol=1e-5)
+    assert_allclose(solution.q[-1], expected * up, atol=1e-5)
     assert solution.f[solution.collocation][0, 0, :3] @ surface.normal == pytest.approx(
         MASS * GRAVITY * np.cos(angle), rel=1e-6
     )
@@ -101,7 +100,7 @@ def test_dynamics_of_a_contact_without_friction_are_those_of_a_multiplier_along_
     found = SlidingDynamics(robot.model, contacts, {0: surface}).acceleration(q, v, force)
     free = force / MASS - np.array([0.0, 0.0, GRAVITY])
     expected = free - (surface.normal @ free) * surface.normal
-    np.testing.assert_allclose(found, expected, atol=ROUNDING)
+    assert_allclose(found, expected, atol=ROUNDING)
 
 
 def test_dynamics_without_sliding_contacts_are_those_of_held_ones():
@@ -109,9 +108,7 @@ def test_dynamics_without_sliding_contacts_are_those_of_held_ones():
     contacts = ContactSet.of(robot.model, [("block", 3)])
     state = np.zeros(3), np.array([0.3, -0.2, 0.1]), np.array([1.0, 2.0, 3.0])
     found = SlidingDynamics(robot.model, contacts, {}).acceleration(*state)
-    np.testing.assert_allclose(
-        found, ContactDynamics(robot.model, contacts).acceleration(*state), atol=ROUNDING
-    )
+    assert_allclose(found, ContactDynamics(robot.model, contacts).acceleration(*state), atol=ROUNDING)
 
 
 def test_compiled_dynamics_slide_and_hold_as_those_of_python():
@@ -123,7 +120,7 @@ def test_compiled_dynamics_slide_and_hold_as_those_of_python():
     v, force = generator.normal(size=(2, 20, 18))
     expected = np.array([dynamics.acceleration(*row) for row in zip(q, v, force, strict=True)])
     found = dynamics.compiled.accelerations(q, v, force)
-    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
+    assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
     with pytest.raises(ValueError, match="no point of that number holds its place"):
         dynamics.compiled.slide(0, surfaces[0].normal, 0.5, 0.1)
 
@@ -347,8 +344,6 @@ def test_plots_have_the_distance_from_each_obstacle_by_the_links_shapes():
     assert without.description.capsule_scene(solution.model) is None
 
 
-# Sums of the same numbers in another order.
-TRACKING_ROUNDING = 1e-11
 # The solver's tolerance of 1e-6 on scaled rows and multipliers, with two orders for conditioning.
 SOLVED = 1e-4
 # The base quaternion of a free-flyer with the other sign.
@@ -390,8 +385,8 @@ def test_whole_turns_do_not_count_in_tracking():
     pendulum = robots.load("double_pendulum")
     schedule = Schedule((Phase(name="swing", duration=1.0),))
     problem = Problem(
-        name="turns", robot=pendulum, schedule=schedule, terrain=FlatGround(),
-        initial_q=pendulum.reference, initial_v=np.array([9.0, 1.0]), terms=(TorqueCost(weight=1.0),),
+        name="turns", robot=pendulum, schedule=schedule,
+         initial_v=np.array([9.0, 1.0]), terms=(TorqueCost(weight=1.0),),
         guess=lambda t: pin.integrate(pendulum.model, pendulum.reference, np.array([9.0 * t, t])),
     )  # fmt: skip
     cost = TrackingCost(weight=1.0, reference=problem.guess)

@@ -374,8 +374,6 @@ def step_up(name: str) -> Problem:
         robot=robot,
         schedule=schedule,
         terrain=terrain,
-        initial_q=robot.reference,
-        initial_v=np.zeros(robot.nv),
         terms=(
             TorqueCost(weight=1.0),
             AccelerationCost(weight=2e-2),

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from tests.support.derivatives import assert_derivatives
 from tests.support.models import hand_built, random_state
 from tests.support.problems import FOOT, SCHEME_ORDERS, hop, hopper, landing, reach
-from trajopt import FlatGround, InputError, Phase, Problem, Robot, Schedule, Solution
+from trajopt import InputError, Phase, Problem, Robot, Schedule, Solution
 from trajopt.motion.configurations import SolutionMotion
 from trajopt.motion.samples import sample_quantities
 from trajopt.solving.extraction import extract
@@ -285,7 +285,6 @@ def test_angle_of_a_continuous_joint_is_counted_through_whole_turns():
         name="spin",
         robot=robot,
         schedule=Schedule((Phase(name="spin", duration=2.0),)),
-        terrain=FlatGround(),
         initial_q=start,
         initial_v=turning,
         terms=(),

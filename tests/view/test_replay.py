@@ -30,7 +30,6 @@ from trajopt_library import robots
 
 pytestmark = pytest.mark.long
 
-SOLO_URDF = "example-robot-data/robots/solo_description/robots/solo12.urdf"
 INTERVALS = 6
 LIFT, FLIGHT = 0.3, 0.2  # s
 VIEWER_SIZE = 0.9e6  # bytes of Meshcat's viewer, in every page
