@@ -11,6 +11,7 @@ import pytest
 
 import trajopt
 from tests.support.command_lines import invoke
+from tests.support.models import placement
 from tests.support.repository import ROOT
 from trajopt import Contact, Robot
 from trajopt.inspection.faults import depths_below
@@ -63,9 +64,7 @@ def test_forces_and_torques_at_rest_do_no_virtual_work(name: str) -> None:
         return float(pin.computePotentialEnergy(model, model.createData(), q))
 
     def height(q: np.ndarray, frame: str) -> float:
-        data = model.createData()
-        pin.framesForwardKinematics(model, data, q)
-        return float(data.oMf[model.getFrameId(frame)].translation[2])
+        return float(placement(model, q, frame).translation[2])
 
     for _ in range(10):
         step = STEP * generator.normal(size=model.nv)

@@ -7,6 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import trajopt
+from tests.support.models import placement
 from tests.support.refusals import refusals, refused, refused_calls
 from tests.support.solved_problems import motion
 from trajopt import Solution
@@ -199,9 +200,7 @@ def test_inverse_kinematics_ends_at_a_bounded_optimum_where_ankles_end():
     assert found.error > pushing.REACHED
 
     def squared(q: np.ndarray) -> float:
-        data = robot.model.createData()
-        pin.framesForwardKinematics(robot.model, data, q)
-        errors = [pin.log6(data.oMf[robot.model.getFrameId(f)].actInv(to)).vector for f, to in feet.items()]
+        errors = [pin.log6(placement(robot.model, q, f).actInv(to)).vector for f, to in feet.items()]
         return float(np.sum(np.square(errors)))
 
     at_limit = 0

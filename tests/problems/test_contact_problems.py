@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 from scipy.optimize import linprog
 
 import trajopt
+from tests.support.models import placement
 from tests.support.refusals import refusals, refused
 from tests.support.solved_problems import motion
 from trajopt import Problem, Robot, Solution, check
@@ -308,26 +309,20 @@ SWITCHES = 0.15
 INTERVALS = 30
 
 
-def placement(robot, q, frame):
-    data = robot.model.createData()
-    pin.framesForwardKinematics(robot.model, data, q)
-    return data.oMf[robot.model.getFrameId(frame)]
-
-
 def test_tool_is_where_the_drawing_has_it():
     """At zero: 0.15 + 0.6 + 0.065 m forward, 0.4865 + 0.7 m up; stretched forward 1.45 m to the wrist."""
     robot = irb1600.build()
-    tool = placement(robot, np.zeros(6), irb1600.TOOL)
+    tool = placement(robot.model, np.zeros(6), irb1600.TOOL)
     assert_allclose(tool.translation, [0.815, 0.0, 1.1865], atol=ROUNDING)
     assert_allclose(tool.rotation[:, 2], [1.0, 0.0, 0.0], atol=ROUNDING)
     stretched = np.array([0.0, math.pi / 2, -math.pi / 2, 0.0, 0.0, 0.0])
-    wrist = placement(robot, stretched, "joint_5")
+    wrist = placement(robot.model, stretched, "joint_5")
     assert_allclose(wrist.translation, [1.45, 0.0, 0.4865], atol=ROUNDING)
 
 
 def test_positive_joint_angles_turn_left_forward_and_down():
     robot = irb1600.build()
-    moved = [placement(robot, 0.1 * np.eye(6)[i], irb1600.TOOL).translation for i in range(3)]
+    moved = [placement(robot.model, 0.1 * np.eye(6)[i], irb1600.TOOL).translation for i in range(3)]
     assert moved[0][1] > 0
     assert moved[1][0] > 0.815
     assert moved[2][2] < 1.1865
@@ -381,7 +376,7 @@ test_arms_that_cannot_be_are_refused = refusals(
 def test_start_and_goal_hold_the_tool_where_it_was_asked():
     robot = robots.load("irb1600")
     q = nearest_posture(robot, np.array([0.7, 0.8, 1.1]), math.pi / 3, robot.reference)
-    tool = placement(robot, q, irb1600.TOOL)
+    tool = placement(robot.model, q, irb1600.TOOL)
     assert_allclose(tool.translation, [0.7, 0.8, 1.1], atol=1e-9)
     assert tool.rotation[2, 2] == pytest.approx(-math.sin(math.pi / 3))
     with refused("cannot bring its tool"):

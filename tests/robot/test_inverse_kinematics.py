@@ -8,6 +8,7 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
+from tests.support.models import placement
 from trajopt import InputError, Robot
 from trajopt.robot import (
     contact_positions,
@@ -31,9 +32,7 @@ ROUNDING = 1e-13
 
 
 def pose(robot: Robot, q: np.ndarray, frame: str) -> pin.SE3:
-    data = robot.model.createData()
-    pin.framesForwardKinematics(robot.model, data, q)
-    return data.oMf[robot.model.getFrameId(frame)].copy()
+    return placement(robot.model, q, frame)
 
 
 def wrapped(angle):

@@ -8,6 +8,7 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from tests.support.models import placement
 from tests.support.problems import FOOT, hopper
 from tests.support.refusals import refusals
 from trajopt import Contact, InputError, Phase, Problem, Robot, Schedule, check
@@ -355,9 +356,7 @@ def test_both_coordinates_have_the_same_units_and_reference():
 
 def test_the_anchor_is_where_the_model_stands():
     mode = stance_mode(robots.load("hopper"), "foot", anchor=[0.5, 7.0, 0.1])
-    data = mode.robot.model.createData()
-    pin.framesForwardKinematics(mode.robot.model, data, random_state(mode)[0])
-    foot = data.oMf[mode.robot.model.getFrameId("foot")].translation
+    foot = placement(mode.robot.model, random_state(mode)[0], "foot").translation
     assert_allclose(foot, [0.5, 0.0, 0.1], atol=ROUNDING)  # a planar robot stays in its plane
 
 

@@ -9,6 +9,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.support.mjcf_files import FEET, HINGES, QUADRUPED, SCENE, arm
+from tests.support.models import placement
 from tests.support.mujoco_comparison import differences
 from tests.support.refusals import refused
 from trajopt import InputError, Robot
@@ -218,9 +219,7 @@ def test_keyframe_is_the_reference_and_stands_on_its_contacts(tmp_path: Path):
     for base, joints in (("freeflyer", 7), ("virtual", 6)):
         robot = Robot.from_mjcf(path, base=base, contacts=FEET)
         assert_array_equal(robot.reference[joints:], bare.reference[7:])
-        data = robot.model.createData()
-        pin.framesForwardKinematics(robot.model, data, robot.reference)
-        heights = [data.oMf[robot.model.getFrameId(foot)].translation[2] for foot in FEET]
+        heights = [placement(robot.model, robot.reference, foot).translation[2] for foot in FEET]
         assert_allclose(heights, 0, atol=ROUNDING)
     named = Robot.from_mjcf(path, reference={"FL_calf": -1.0})
     assert_array_equal(named.reference[7:], [0, 0.8, -1.0, *[0, 0.8, -1.6] * 3])

@@ -10,6 +10,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import trajopt
+from tests.support.models import placement
 from tests.support.refusals import refusals
 from tests.support.solved_problems import motion
 from trajopt import Contact, FlatGround, InputError, Phase, Problem, Robot, Schedule, Solution
@@ -110,9 +111,7 @@ def test_wrench_of_a_body_at_rest_is_its_weight() -> None:
         robot.model, robot.model.createData(), "tool0", _payload().spatial, (robot.reference, still, still)
     )
     np.testing.assert_allclose(wrench[:3], [0, 0, -MASS * 9.81], atol=1e-9)
-    data = robot.model.createData()
-    pin.framesForwardKinematics(robot.model, data, robot.reference)
-    lever = data.oMf[robot.model.getFrameId("tool0")].rotation @ CENTRE
+    lever = placement(robot.model, robot.reference, "tool0").rotation @ CENTRE
     np.testing.assert_allclose(wrench[3:], np.cross(lever, wrench[:3]), atol=1e-9)
 
 

@@ -8,6 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import trajopt
+from tests.support.models import placement
 from trajopt import Contact, FlatGround, InputError, Phase, Problem, Robot, Schedule, middle_of
 from trajopt.certify.report import AT_POINTS
 from trajopt.dynamics import contact_jacobian
@@ -69,9 +70,7 @@ def hop(robot: Robot) -> Problem:
     """Forward by ``DISTANCE`` and up by a tenth of the robot's length, from rest to rest."""
     end = robot.reference.copy()
     end[0] += DISTANCE
-    data = robot.model.createData()
-    pin.framesForwardKinematics(robot.model, data, end)
-    feet = {c.name: data.oMf[robot.model.getFrameId(c.frame)].translation.copy() for c in robot.contacts}
+    feet = {c.name: placement(robot.model, end, c.frame).translation.copy() for c in robot.contacts}
     legs, ground = tuple(feet), FlatGround(friction=0.7)
     height = 1 if robot.base == "planar" else 2
 

@@ -7,6 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from tests.support.models import placement
 from tests.support.refusals import refusals, refused, refused_calls
 from trajopt import Contact, InputError, Robot
 from trajopt.robot import robot_file
@@ -28,9 +29,7 @@ def solo_urdf() -> Path:
 
 
 def frame_positions(robot: Robot, frames: tuple[str, ...], q: np.ndarray) -> np.ndarray:
-    data = robot.model.createData()
-    pin.framesForwardKinematics(robot.model, data, q)
-    return np.array([data.oMf[robot.model.getFrameId(frame)].translation for frame in frames])
+    return np.array([placement(robot.model, q, frame).translation for frame in frames])
 
 
 @pytest.mark.parametrize("name", robots.names())

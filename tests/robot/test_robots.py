@@ -8,6 +8,7 @@ import pinocchio as pin
 import pytest
 from scipy.spatial import ConvexHull
 
+from tests.support.models import placement
 from tests.support.refusals import refused
 from trajopt import InputError, Robot
 from trajopt.robot import contact_positions, legs_only
@@ -60,9 +61,7 @@ ONE_LEG = "from trajopt_library.robots.hopper_space import build\n"
 
 
 def poses(robot: Robot, frames: list[str]) -> list[pin.SE3]:
-    data = robot.model.createData()
-    pin.framesForwardKinematics(robot.model, data, robot.reference)
-    return [data.oMf[robot.model.getFrameId(frame)].copy() for frame in frames]
+    return [placement(robot.model, robot.reference, frame) for frame in frames]
 
 
 def corners(robot: Robot) -> np.ndarray:

@@ -7,6 +7,7 @@ import numpy as np
 import pinocchio as pin
 
 import trajopt
+from tests.support.models import placement
 from trajopt import Contact, FlatGround, Phase, Problem, Robot, Schedule, Solution
 from trajopt.dynamics.rerooting import joint_slices
 from trajopt.robot.actuators.drive import Drive
@@ -115,9 +116,7 @@ def push(robot: Robot, *, terms: Sequence[Term] | None = None, **changes: object
 
 def usual(robot: Robot, lower: float = 0.04) -> tuple[Term, ...]:
     """Costs and limits of all kinds, and an end with the body lowered by ``lower`` m."""
-    data = robot.model.createData()
-    pin.framesForwardKinematics(robot.model, data, robot.reference)
-    feet = {foot: data.oMf[robot.model.getFrameId(foot)].translation.copy() for foot in FEET}
+    feet = {foot: placement(robot.model, robot.reference, foot).translation.copy() for foot in FEET}
     end = robot.reference.copy()
     end[2] -= lower
     end = inverse_kinematics(robot, end, feet).q

@@ -8,6 +8,7 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
+from tests.support.models import placement
 from tests.support.replay_pages import FLIGHT, STANCE, objects_of, on_surface, placements_of, shown, tracks_of
 from tests.support.synthetic_motions import arm_motion, pushing_off, sampled, standing, with_meta
 from trajopt import Contact, Robot, Solution
@@ -223,9 +224,7 @@ def test_force_of_a_sole_starts_at_its_centre_of_pressure_unless_it_is_held(held
     turn = pin.utils.rotate("y", 0.7)
     q = robot.reference.copy()
     q[3:7] = pin.Quaternion(turn).coeffs()
-    data = robot.model.createData()
-    pin.framesForwardKinematics(robot.model, data, q)
-    place = data.oMf[robot.model.getFrameId(frame)]
+    place = placement(robot.model, q, frame)
     force = place.rotation @ np.array([30.0, -10.0, 800.0])
     wrench = np.concatenate([force, np.cross(place.rotation @ offset, force)])
     base = standing(robot, STANCE)
@@ -359,9 +358,7 @@ def test_cone_of_a_sole_stands_on_its_centre_of_pressure(tmp_path):
     frame, offset = "left_sole_link", np.array([0.03, -0.02, 0.0])
     sole = Contact(frame=frame, kind="surface", half_length=0.1, half_width=0.06)
     robot = Robot.from_urdf(robot_file(TALOS), contacts=[sole], package_dirs=[data_share()])
-    data = robot.model.createData()
-    pin.framesForwardKinematics(robot.model, data, robot.reference)
-    place = data.oMf[robot.model.getFrameId(frame)]
+    place = placement(robot.model, robot.reference, frame)
     force = np.array([30.0, -10.0, 800.0])
     wrench = np.concatenate([force, np.cross(place.rotation @ offset, force)])
     stance = replace(standing(robot, STANCE), f=lambda t: wrench[None])

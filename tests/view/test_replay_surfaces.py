@@ -8,6 +8,7 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
+from tests.support.models import placement
 from tests.support.replay_pages import flying, objects_of, on_surface, placements_of, shown
 from tests.support.synthetic_motions import Motion, arm_motion, sampled, with_meta
 from trajopt import Solution, replay
@@ -44,9 +45,7 @@ def turned(solution: Solution, turn: np.ndarray, shift: np.ndarray) -> Solution:
 
 
 def foot_at(solution: Solution, frame: str = FOOT) -> np.ndarray:
-    data = solution.model.createData()
-    pin.framesForwardKinematics(solution.model, data, solution.q[0])
-    return data.oMf[solution.model.getFrameId(frame)].translation.copy()
+    return placement(solution.model, solution.q[0], frame).translation.copy()
 
 
 def surfaces_shown(scene: dict) -> list[str]:

@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 
 import trajopt
 from scripts.measure.scenes import upright_jump
+from tests.support.models import placement
 from tests.support.problems import reach
 from tests.support.scenes import (
     FEET,
@@ -249,9 +250,7 @@ def test_a_symmetric_task_may_have_a_better_optimum_that_is_not_its_own_image() 
 
 def test_a_foothold_to_the_side_keeps_the_abduction() -> None:
     robot = biped()
-    data = robot.model.createData()
-    pin.framesForwardKinematics(robot.model, data, robot.reference)
-    feet = {foot: data.oMf[robot.model.getFrameId(foot)].translation.copy() for foot in FEET}
+    feet = {foot: placement(robot.model, robot.reference, foot).translation.copy() for foot in FEET}
     for foot, side in zip(FEET, (1, -1), strict=True):
         feet[foot][1] += 0.05 * side
     problem = hop(robot, impact=False, free=False)
