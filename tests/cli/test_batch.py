@@ -3,7 +3,6 @@
 import json
 import resource
 import signal
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from click.testing import Result
 from tests.support import batch_problems, suite_problems
 from tests.support.batch_problems import HELD, runs
 from tests.support.command_lines import assert_refused, invoke
-from tests.support.packages import installed
+from tests.support.packages import offered
 from tests.support.processes import (
     TRAJOPT,
     Running,
@@ -30,13 +29,7 @@ from trajopt.study.suite import data
 # Size of files on a disk that is "full": rows of the journal of a few cases fit in, a solution does not.
 FULL = 4096
 PNG = b"\x89PNG\r\n\x1a\n"
-
-
-@pytest.fixture(scope="module", autouse=True)
-def package(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """The folder that offers the tests' own families."""
-    with installed(batch_problems, tmp_path_factory.mktemp("package")) as folder:
-        yield folder
+package = offered(batch_problems)
 
 
 def batch(*arguments: object) -> Result:
@@ -234,11 +227,7 @@ def test_on_a_full_disk_rows_are_kept_and_solutions_are_solved_again(
     assert len(list(out.rglob("*.npz"))) == 3
 
 
-@pytest.fixture(scope="module", autouse=True)
-def suite_package(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """The folder that offers the tests' own families."""
-    with installed(suite_problems, tmp_path_factory.mktemp("package")) as folder:
-        yield folder
+suite_package = offered(suite_problems)
 
 
 def suite(*arguments: object) -> Result:

@@ -2,7 +2,6 @@
 
 import json
 import math
-from collections.abc import Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ import pytest
 
 from tests.support import batch_problems
 from tests.support.command_lines import assert_refused, invoke
-from tests.support.packages import installed
+from tests.support.packages import offered
 from tests.support.refusals import assert_refused_in_one_line
 from trajopt.study.batch.batch import dataset
 from trajopt.study.batch.engine import StartTree
@@ -27,13 +26,7 @@ SWING = "t-swing"
 # Draws of a sample whose distribution is compared with its formula, and how far its mean may be off: four
 # standard deviations of the mean of so many.
 DRAWS, OFF = 400, 4.0
-
-
-@pytest.fixture(scope="module", autouse=True)
-def package(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """The tests' own families beside the library's."""
-    with installed(batch_problems, tmp_path_factory.mktemp("package")):
-        yield
+package = offered(batch_problems)
 
 
 def values(*given: Any, **arguments: Any) -> list[dict[str, Any]]:

@@ -2,7 +2,6 @@
 
 import json
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ import pinocchio as pin
 import pytest
 
 from tests.support import suite_problems
-from tests.support.packages import installed
+from tests.support.packages import offered
 from tests.support.problems import hop, hopper, planar_hopper, reach
 from tests.support.refusals import refused
 from tests.support.suite_outcomes import outcome_of
@@ -179,13 +178,7 @@ ROBUSTNESS_STARTS = SuiteSettings(perturbed=3)
 CASE = Case(problem="t-reach", robot="arm", takes_robot=False)
 # Single precision of what is recorded of a motion.
 SINGLE = 1e-6
-
-
-@pytest.fixture(scope="module", autouse=True)
-def problems(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """The tests' own families beside the library's."""
-    with installed(suite_problems, tmp_path_factory.mktemp("package")):
-        yield
+problems = offered(suite_problems)
 
 
 def motions(values: list[float]) -> list[str]:
