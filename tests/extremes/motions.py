@@ -4,20 +4,9 @@ from functools import partial
 
 import numpy as np
 
-from trajopt import FlatGround, Phase, Problem, Robot, Schedule
+from trajopt import FlatGround, Phase, Problem, Robot, Schedule, terms
 from trajopt.dynamics import contact_jacobian
 from trajopt.robot import Units
-from trajopt.terms import (
-    FrictionCone,
-    PositionLimits,
-    Term,
-    TerminalRest,
-    TerminalState,
-    TorqueLimits,
-    VelocityLimits,
-    contact_cones,
-    effort_costs,
-)
 from trajopt_library.problems import common
 
 # A robot that floats is this many lengths higher than it stands, so that no leg meets the ground.
@@ -31,7 +20,7 @@ def stand(
     friction: float = 0.7,
     exact: bool = False,
     push: tuple[float, ...] = (0.0,) * 6,
-    costs: tuple[Term, ...] | None = None,
+    costs: tuple[terms.Term, ...] | None = None,
 ) -> Problem:
     """Stand on all contacts at the reference; after a push of the base come back to it, to rest.
 
@@ -48,13 +37,13 @@ def stand(
         terrain=FlatGround(friction=friction),
         initial_v=feet_still(robot, Units(robot).twist * push),
         terms=(
-            *(effort_costs() if costs is None else costs),
-            TorqueLimits(),
-            PositionLimits(),
-            VelocityLimits(),
-            *((FrictionCone(),) if exact else contact_cones(robot.contacts)),
-            TerminalState(q=robot.reference),
-            TerminalRest(q=robot.reference),
+            *(terms.effort_costs() if costs is None else costs),
+            terms.TorqueLimits(),
+            terms.PositionLimits(),
+            terms.VelocityLimits(),
+            *((terms.FrictionCone(),) if exact else terms.contact_cones(robot.contacts)),
+            terms.TerminalState(q=robot.reference),
+            terms.TerminalRest(q=robot.reference),
         ),
         guess=partial(_still, robot.reference),
         default_intervals=10,
@@ -85,7 +74,13 @@ def turn_over(robot: Robot, *, yaw: float, duration: float) -> Problem:
         robot=robot,
         schedule=Schedule((Phase(name="float", duration=duration),)),
         initial_q=start,
-        terms=(*effort_costs(), TorqueLimits(), VelocityLimits(), TerminalState(q=end), TerminalRest(q=end)),
+        terms=(
+            *terms.effort_costs(),
+            terms.TorqueLimits(),
+            terms.VelocityLimits(),
+            terms.TerminalState(q=end),
+            terms.TerminalRest(q=end),
+        ),
         guess=partial(_turning, robot, yaw, duration),
         default_intervals=12,
     )

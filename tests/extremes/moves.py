@@ -5,22 +5,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pinocchio as pin
 
-from trajopt import FlatGround, Phase, Problem, Robot, Schedule
+from trajopt import FlatGround, Phase, Problem, Robot, Schedule, terms
 from trajopt.robot import contact_poses, frame_pose, inverse_kinematics
 from trajopt.robot.building import put_on_ground
 from trajopt.schedule import footholds_at
-from trajopt.terms import (
-    FramePose,
-    PositionLimits,
-    SwingClearance,
-    Term,
-    TerminalRest,
-    TerminalState,
-    TorqueLimits,
-    VelocityLimits,
-    contact_cones,
-    effort_costs,
-)
 
 # Duration of a phase on legs, s: long against what a step of a small quadruped takes at least.
 PHASE = 0.2
@@ -34,10 +22,10 @@ def reach(
     goal: np.ndarray,
     *,
     duration: float = 1.0,
-    end: Sequence[Term] | None = None,
+    end: Sequence[terms.Term] | None = None,
     guess: Guess | None = None,
     velocity: np.ndarray | None = None,
-    limits: Sequence[Term] = (TorqueLimits(), PositionLimits(), VelocityLimits()),
+    limits: Sequence[terms.Term] = (terms.TorqueLimits(), terms.PositionLimits(), terms.VelocityLimits()),
     intervals: int = 10,
 ) -> Problem:
     """An arm goes from ``start`` to ``goal`` (nq,), to rest, within limits; ``end`` replaces the goal."""
@@ -48,19 +36,21 @@ def reach(
         initial_q=start,
         initial_v=np.zeros(robot.nv) if velocity is None else velocity,
         terms=(
-            *effort_costs(),
+            *terms.effort_costs(),
             *limits,
-            *((TerminalState(q=goal), TerminalRest(q=goal)) if end is None else end),
+            *((terms.TerminalState(q=goal), terms.TerminalRest(q=goal)) if end is None else end),
         ),
         guess=between(robot, start, goal, duration) if guess is None else guess,
         default_intervals=intervals,
     )
 
 
-def pose_goal(robot: Robot, q: np.ndarray, frame: str) -> tuple[Term, ...]:
+def pose_goal(robot: Robot, q: np.ndarray, frame: str) -> tuple[terms.Term, ...]:
     """The pose that a frame has at ``q`` (nq,), at rest."""
     pose = frame_pose(robot, q, frame)
-    return FramePose(frame=frame, position=pose.translation, rotation=pose.rotation), TerminalRest(q=q)
+    return terms.FramePose(
+        frame=frame, position=pose.translation, rotation=pose.rotation
+    ), terms.TerminalRest(q=q)
 
 
 def stance(
@@ -70,7 +60,7 @@ def stance(
     *,
     duration: float = 2 * PHASE,
     guess: Guess | None = None,
-    extra: Sequence[Term] = (),
+    extra: Sequence[terms.Term] = (),
     intervals: int = 10,
 ) -> Problem:
     """All contacts stay where ``start`` (nq,) has them; the robot ends at rest at ``goal``, default start."""
@@ -106,7 +96,7 @@ def steps(
         )
         before = set(names)
     ground = FlatGround(friction=0.7)
-    over = (SwingClearance(height=clearance, terrain=ground),) if clearance else ()
+    over = (terms.SwingClearance(height=clearance, terrain=ground),) if clearance else ()
     q = robot.reference
     return legged(robot, Schedule(tuple(phases)), q, q, lambda t: q, extra=over, intervals=intervals)
 
@@ -118,7 +108,7 @@ def legged(
     goal: np.ndarray,
     guess: Guess,
     *,
-    extra: Sequence[Term] = (),
+    extra: Sequence[terms.Term] = (),
     intervals: int = 10,
     ground: FlatGround | None = None,
 ) -> Problem:
@@ -130,13 +120,13 @@ def legged(
         terrain=FlatGround(friction=0.7) if ground is None else ground,
         initial_q=start,
         terms=(
-            *effort_costs(),
-            TorqueLimits(),
-            PositionLimits(),
-            VelocityLimits(),
-            *contact_cones(robot.contacts),
-            TerminalState(q=goal),
-            TerminalRest(q=goal),
+            *terms.effort_costs(),
+            terms.TorqueLimits(),
+            terms.PositionLimits(),
+            terms.VelocityLimits(),
+            *terms.contact_cones(robot.contacts),
+            terms.TerminalState(q=goal),
+            terms.TerminalRest(q=goal),
             *extra,
         ),
         guess=guess,

@@ -10,23 +10,13 @@ from numpy.testing import assert_allclose
 from tests.extremes.moves import legged, lowered, pose_goal, reach, stance, steps, with_joints
 from tests.extremes.outcomes import Failed, Refused, Solved, assert_outcome, in_process
 from tests.support.problems import hopper
-from trajopt import Contact, FlatGround, Phase, Problem, Robot, Schedule, diagnose
+from trajopt import Contact, FlatGround, Phase, Problem, Robot, Schedule, diagnose, terms
 from trajopt.dynamics import contact_jacobian
 from trajopt.robot import contact_positions
 from trajopt.schedule import footholds_at
 from trajopt.solvers.drivers import SOLVERS
 from trajopt.solvers.status import Status
 from trajopt.solving.solving import solve
-from trajopt.terms import (
-    AccelerationCost,
-    FrictionPyramid,
-    PostureCost,
-    TerminalRest,
-    TerminalState,
-    TorqueCost,
-    TorqueLimits,
-    WrenchCost,
-)
 from trajopt_library import robots
 
 pytestmark = pytest.mark.long
@@ -154,13 +144,13 @@ def standing_hopper(robot: Robot, names: tuple[str, ...] | None = None, wrench: 
         terrain=FlatGround(friction=0.7),
         initial_q=q,
         terms=(
-            TorqueCost(weight=1.0),
-            PostureCost(weight=1.0),
-            *((WrenchCost(weight=wrench),) if wrench else ()),
-            TorqueLimits(),
-            FrictionPyramid(),
-            TerminalState(q=q),
-            TerminalRest(q=q),
+            terms.TorqueCost(weight=1.0),
+            terms.PostureCost(weight=1.0),
+            *((terms.WrenchCost(weight=wrench),) if wrench else ()),
+            terms.TorqueLimits(),
+            terms.FrictionPyramid(),
+            terms.TerminalState(q=q),
+            terms.TerminalRest(q=q),
         ),
         guess=lambda t: q,
     )
@@ -186,7 +176,7 @@ def test_two_point_contacts_leave_the_rotation_about_their_line():
     robot = corners(4)
     names = ("corner0", "corner1")
     problem = standing_hopper(robot, names)
-    costs = (TorqueCost(weight=1.0), AccelerationCost(weight=1e-2), WrenchCost(weight=1e-2))
+    costs = (terms.TorqueCost(weight=1.0), terms.AccelerationCost(weight=1e-2), terms.WrenchCost(weight=1e-2))
     schedule = Schedule((Phase(name="stance", duration=0.1, contacts=names),))
     solution = assert_outcome(
         Solved(STILL), lambda: replace(problem, schedule=schedule, terms=costs), intervals=6
@@ -231,8 +221,8 @@ def test_a_point_within_a_sole_adds_nothing():
     robot = hopper("surface")
     both = replace(robot, contacts=(*robot.contacts, Contact(frame="foot", name="point")))
     problem = standing_hopper(both)
-    terms = tuple(term for term in problem.terms if not isinstance(term, FrictionPyramid))
-    solution = assert_outcome(Solved(STILL), lambda: replace(problem, terms=terms), intervals=6)
+    all_terms = tuple(term for term in problem.terms if not isinstance(term, terms.FrictionPyramid))
+    solution = assert_outcome(Solved(STILL), lambda: replace(problem, terms=all_terms), intervals=6)
     assert solution.statistics.redundant_contact_rows == {"stance": ["point x", "point y", "point z"]}
 
 

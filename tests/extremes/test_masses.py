@@ -16,21 +16,9 @@ from tests.extremes.moves import reach, stance
 from tests.extremes.outcomes import Failed, Refused, Solved, assert_outcome
 from tests.support.problems import REACH
 from tests.support.problems import reach as arm_reach
-from trajopt import FlatGround, InputError, Phase, Problem, Schedule, Solution, middle_of
+from trajopt import FlatGround, InputError, Phase, Problem, Schedule, Solution, middle_of, terms
 from trajopt.solvers.status import Status
 from trajopt.solving.solving import prepare
-from trajopt.terms import (
-    FrameHeight,
-    FramePose,
-    FrameVelocity,
-    FrictionCone,
-    PostureCost,
-    SwingClearance,
-    TerminalRest,
-    TerminalState,
-    TorqueCost,
-    TorqueLimits,
-)
 from trajopt.terrain import Surface
 from trajopt_library import problems, robots
 
@@ -227,7 +215,7 @@ def arm_problem(**changes: object) -> Problem:
 
 
 def ending(term: object) -> Problem:
-    return arm_problem(terms=(TorqueCost(weight=1.0), term))
+    return arm_problem(terms=(terms.TorqueCost(weight=1.0), term))
 
 
 def spoiled(array: np.ndarray, value: float) -> np.ndarray:
@@ -241,30 +229,30 @@ HEIGHT = "frame's height"
 PLACES: dict[str, tuple[str, Make]] = {
     "initial_q": ("initial_q of Problem .*finite numbers", lambda x: arm_problem(initial_q=spoiled(Q, x))),
     "initial_v": ("initial_v of Problem .*finite numbers", lambda x: arm_problem(initial_v=spoiled(Q, x))),
-    "goal": ("q of TerminalState .*finite numbers", lambda x: ending(TerminalState(q=spoiled(Q, x)))),
-    "rest": ("q of TerminalRest .*finite numbers", lambda x: ending(TerminalRest(q=spoiled(Q, x)))),
+    "goal": ("q of TerminalState .*finite numbers", lambda x: ending(terms.TerminalState(q=spoiled(Q, x)))),
+    "rest": ("q of TerminalRest .*finite numbers", lambda x: ending(terms.TerminalRest(q=spoiled(Q, x)))),
     "frame": (
         "position of FramePose .*finite numbers",
-        lambda x: ending(FramePose(frame="tool0", position=[0.3, 0.0, x])),
+        lambda x: ending(terms.FramePose(frame="tool0", position=[0.3, 0.0, x])),
     ),
     "frame's rotation": (
         "rotation of FramePose .*finite numbers",
-        lambda x: ending(FramePose(frame="tool0", rotation=spoiled(np.eye(3), x))),
+        lambda x: ending(terms.FramePose(frame="tool0", rotation=spoiled(np.eye(3), x))),
     ),
     "frame's velocity": (
         "velocity of FrameVelocity .*finite numbers",
-        lambda x: ending(FrameVelocity(frame="tool0", velocity=spoiled(Q, x))),
+        lambda x: ending(terms.FrameVelocity(frame="tool0", velocity=spoiled(Q, x))),
     ),
     HEIGHT: (
         "height of FrameHeight .*finite number",
-        lambda x: ending(FrameHeight(frame="tool0", height=x, at=middle_of("reach"))),
+        lambda x: ending(terms.FrameHeight(frame="tool0", height=x, at=middle_of("reach"))),
     ),
     "posture": (
         "q of PostureCost .*finite numbers",
-        lambda x: ending(PostureCost(weight=1.0, q=spoiled(Q, x))),
+        lambda x: ending(terms.PostureCost(weight=1.0, q=spoiled(Q, x))),
     ),
-    "weight": ("weight of TorqueCost .*finite number", lambda x: TorqueCost(weight=x)),
-    "friction": ("friction of FrictionCone .*finite number", lambda x: FrictionCone(friction=x)),
+    "weight": ("weight of TorqueCost .*finite number", lambda x: terms.TorqueCost(weight=x)),
+    "friction": ("friction of FrictionCone .*finite number", lambda x: terms.FrictionCone(friction=x)),
     "ground's friction": ("friction of FlatGround .*finite number", lambda x: FlatGround(friction=x)),
     "ground's height": ("height of FlatGround .*finite number", lambda x: FlatGround(height=x)),
     "ground's normal": (
@@ -281,7 +269,7 @@ PLACES: dict[str, tuple[str, Make]] = {
         "duration_bounds of Phase .*finite numbers",
         lambda x: Phase(name="p", duration=1.0, duration_bounds=(0.5, x)),
     ),
-    "clearance": ("height of SwingClearance", lambda x: SwingClearance(height=x, terrain=FlatGround())),
+    "clearance": ("height of SwingClearance", lambda x: terms.SwingClearance(height=x, terrain=FlatGround())),
     "reference": ("reference of Robot 'ur5'", lambda x: replace(ur5(), reference=spoiled(Q, x))),
 }
 
@@ -312,7 +300,7 @@ def test_an_invalid_number_is_refused_where_it_is_given(where, value):
 
 @pytest.mark.parametrize("limit", [[NAN] * 6, [1.0] * 5 + [-1.0], [1.0] * 5])
 def test_invalid_torque_limits_are_refused(limit):
-    refused("torque_limits|limit of TorqueLimits", lambda: ending(TorqueLimits(limit=np.array(limit))))
+    refused("torque_limits|limit of TorqueLimits", lambda: ending(terms.TorqueLimits(limit=np.array(limit))))
 
 
 # How a guess may be wrong after 0.5 s, and what is said of it.

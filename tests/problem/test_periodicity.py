@@ -10,7 +10,7 @@ import pytest
 
 import trajopt
 from tests.support.refusals import refusals
-from trajopt import FlatGround, InputError, Phase, Problem, Schedule
+from trajopt import FlatGround, InputError, Phase, Problem, Schedule, terms
 from trajopt.certify.report import RESIDUAL
 from trajopt.dynamics import Coordinates
 from trajopt.motion.configurations import SolutionMotion
@@ -20,16 +20,6 @@ from trajopt.problem import Periodicity
 from trajopt.problem.periodicity import closing_map, landing_at_start
 from trajopt.robot import contact_positions, inverse_kinematics
 from trajopt.robot.mirror import find_mirror, mirrored_configuration
-from trajopt.terms import (
-    AccelerationCost,
-    FrictionPyramid,
-    PositionLimits,
-    SwingClearance,
-    TorqueCost,
-    TorqueLimits,
-    VelocityCost,
-    WrenchCost,
-)
 from trajopt_library.robots import hopper, solo12
 
 SPEED, PERIOD = 0.4, 0.4  # m/s, s
@@ -78,14 +68,14 @@ def trot(*, half: bool = False, free: bool = False, **periodicity: object) -> Pr
         schedule=Schedule(tuple(phases[: 1 if half else 2])),
         terrain=ground,
         terms=(
-            TorqueCost(weight=1.0),
-            AccelerationCost(weight=2e-2),
-            VelocityCost(weight=1e-2),
-            WrenchCost(weight=1e-2),
-            TorqueLimits(limit=np.full(robot.nu, 3.0)),
-            FrictionPyramid(),
-            PositionLimits(),
-            SwingClearance(height=0.03, terrain=ground),
+            terms.TorqueCost(weight=1.0),
+            terms.AccelerationCost(weight=2e-2),
+            terms.VelocityCost(weight=1e-2),
+            terms.WrenchCost(weight=1e-2),
+            terms.TorqueLimits(limit=np.full(robot.nu, 3.0)),
+            terms.FrictionPyramid(),
+            terms.PositionLimits(),
+            terms.SwingClearance(height=0.03, terrain=ground),
         ),
         guess=_trot_guess,
         periodicity=Periodicity(**given),

@@ -10,17 +10,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 import trajopt
-from trajopt import Contact, InputError, Phase, Problem, Robot, Schedule, Solution
+from trajopt import Contact, InputError, Phase, Problem, Robot, Schedule, Solution, terms
 from trajopt.errors import UnsupportedJointError
 from trajopt.robot import JointForce, MimicJoint, frame_pose, inverse_kinematics
-from trajopt.terms import (
-    PositionLimits,
-    TerminalRest,
-    TerminalState,
-    TorqueLimits,
-    VelocityLimits,
-    effort_costs,
-)
 from trajopt_library import problems, robots
 
 RATIO, OFFSET = -0.5, 0.3
@@ -54,8 +46,8 @@ def moved() -> Solution:
         robot=robot,
         schedule=Schedule((Phase(name="move", duration=1.0),)),
         terms=(
-            *(*effort_costs(), TorqueLimits(), PositionLimits(), VelocityLimits()),
-            *(TerminalState(q=end), TerminalRest(q=end)),
+            *(*terms.effort_costs(), terms.TorqueLimits(), terms.PositionLimits(), terms.VelocityLimits()),
+            *(terms.TerminalState(q=end), terms.TerminalRest(q=end)),
         ),
         guess=lambda t: robot.reference + t * (end - robot.reference),
     )

@@ -9,26 +9,12 @@ from numpy.testing import assert_allclose
 
 import trajopt
 from tests.support.models import placement
-from trajopt import Contact, FlatGround, InputError, Phase, Problem, Robot, Schedule, middle_of
+from trajopt import Contact, FlatGround, InputError, Phase, Problem, Robot, Schedule, middle_of, terms
 from trajopt.certify.report import AT_POINTS
 from trajopt.dynamics import contact_jacobian
 from trajopt.dynamics.base_joint import Base
 from trajopt.dynamics.model_quantities import generalized_force
 from trajopt.robot import EDGES, contact_poses, contact_positions, edge_contacts, robot_file, with_edges
-from trajopt.terms import (
-    AccelerationCost,
-    FrameHeight,
-    FrictionCone,
-    PositionLimits,
-    PostureCost,
-    SwingClearance,
-    TerminalRest,
-    TerminalState,
-    TorqueCost,
-    TorqueLimits,
-    VelocityCost,
-    VelocityLimits,
-)
 from trajopt.transcription.redundancy import independent_rows
 from trajopt_library import robots
 from trajopt_library.problems import bipeds
@@ -92,18 +78,18 @@ def hop(robot: Robot) -> Problem:
         ),
         terrain=ground,
         terms=(
-            TorqueCost(weight=1.0),
-            AccelerationCost(weight=2e-2, joints_only=True),
-            VelocityCost(weight=1e-2, joints_only=True),
-            PostureCost(weight=1e-1),
-            TorqueLimits(),
-            PositionLimits(),
-            VelocityLimits(),
-            FrictionCone(friction=ground.friction),
-            SwingClearance(height=0.03, terrain=ground),
-            FrameHeight(frame="root_joint", height=1.1 * robot.length, at=middle_of("flight")),
-            TerminalState(q=end),
-            TerminalRest(q=end),
+            terms.TorqueCost(weight=1.0),
+            terms.AccelerationCost(weight=2e-2, joints_only=True),
+            terms.VelocityCost(weight=1e-2, joints_only=True),
+            terms.PostureCost(weight=1e-1),
+            terms.TorqueLimits(),
+            terms.PositionLimits(),
+            terms.VelocityLimits(),
+            terms.FrictionCone(friction=ground.friction),
+            terms.SwingClearance(height=0.03, terrain=ground),
+            terms.FrameHeight(frame="root_joint", height=1.1 * robot.length, at=middle_of("flight")),
+            terms.TerminalState(q=end),
+            terms.TerminalRest(q=end),
         ),
         guess=guess,
         default_intervals=24,

@@ -219,8 +219,6 @@ test_inconsistent_robot_is_refused = refusals(
         "position limits of joint 'shoulder_pan_joint' of 'ur5' are empty: 9 > 6.28319 rad",
     ),
 )
-
-
 test_bad_description_of_a_robot_is_refused = refusals(
     lambda options: Robot.from_urdf(solo_urdf(), **options),
     ({"contacts": ["FL_FOOOT"]}, "close matches: FL_FOOT"),

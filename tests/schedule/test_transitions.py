@@ -23,21 +23,10 @@ from tests.support.problems import (
     still,
 )
 from tests.support.refusals import refused_calls
-from trajopt import InputError, Moment, Phase, Problem, Schedule
+from trajopt import InputError, Moment, Phase, Problem, Schedule, terms
 from trajopt.certify.report import AT_POINTS
 from trajopt.dynamics import contact_jacobian
 from trajopt.solving.solving import prepare
-from trajopt.terms import (
-    AccelerationCost,
-    BaseDynamics,
-    FrameHeight,
-    PositionLimits,
-    TimeCost,
-    TorqueCost,
-    TorqueLimits,
-    VelocityCost,
-    VelocityLimits,
-)
 from trajopt.transcription.nlp import Nlp
 from trajopt.transcription.timeline import StageKind
 from trajopt_library import problems
@@ -118,7 +107,9 @@ def test_velocity_source_has_neither_rates_nor_torques_nor_accelerations():
     assert layout.forms[0].size == 4 + 5
     assert layout.n_control(0) == 2 * (nv + foot)
     arm = replace(
-        reach(terms=(VelocityCost(weight=1.0),)), terms=(VelocityCost(weight=1.0),), actuation="velocity"
+        reach(terms=(terms.VelocityCost(weight=1.0),)),
+        terms=(terms.VelocityCost(weight=1.0),),
+        actuation="velocity",
     )
     names = prepare(arm, intervals=4).transcription.rows.names
     assert names == ("defect",)
@@ -127,9 +118,9 @@ def test_velocity_source_has_neither_rates_nor_torques_nor_accelerations():
 @pytest.mark.parametrize(
     ("term", "lacks"),
     [
-        (TorqueCost(weight=1.0), "torques"),
-        (TorqueLimits(), "torques"),
-        (AccelerationCost(weight=1.0), "accelerations"),
+        (terms.TorqueCost(weight=1.0), "torques"),
+        (terms.TorqueLimits(), "torques"),
+        (terms.AccelerationCost(weight=1.0), "accelerations"),
     ],
 )
 def test_terms_that_a_velocity_source_cannot_have_are_refused(term, lacks):
@@ -141,7 +132,7 @@ def test_acceleration_source_has_accelerations_but_no_torques():
     problem = replace(reach(), actuation="acceleration")
     assert trajopt.solve(problem, fixed_mesh=True).converged
     with pytest.raises(InputError, match="asks for torques, which a source of acceleration does not have"):
-        trajopt.solve(replace(problem, terms=(TorqueCost(weight=1.0),)), fixed_mesh=True)
+        trajopt.solve(replace(problem, terms=(terms.TorqueCost(weight=1.0),)), fixed_mesh=True)
 
 
 def test_minimum_time_of_a_double_integrator_is_that_of_full_torque_both_ways():
@@ -149,8 +140,8 @@ def test_minimum_time_of_a_double_integrator_is_that_of_full_torque_both_ways():
     torque = 30.0
     model = one_joint_arm().model
     inertia = pin.crba(model, model.createData(), np.zeros(1))[0, 0]
-    terms = (TimeCost(weight=1.0), TorqueLimits(limit=np.array([torque])))
-    problem = reach(terms=terms)
+    all_terms = (terms.TimeCost(weight=1.0), terms.TorqueLimits(limit=np.array([torque])))
+    problem = reach(terms=all_terms)
     phase = replace(problem.schedule.phases[0], duration_bounds=(0.05, 3.0))
     solution = trajopt.solve(replace(problem, schedule=Schedule((phase,))), intervals=20)
     assert solution.converged
@@ -162,7 +153,9 @@ def test_minimum_time_of_a_double_integrator_is_that_of_full_torque_both_ways():
 
 def test_velocity_limits_hold_at_nodes_of_a_free_duration():
     robot = replace(one_joint_arm(), velocity_limit=np.array([2.0]))
-    problem = reach(terms=(TimeCost(weight=1.0), AccelerationCost(weight=1e-3), VelocityLimits()))
+    problem = reach(
+        terms=(terms.TimeCost(weight=1.0), terms.AccelerationCost(weight=1e-3), terms.VelocityLimits())
+    )
     phase = replace(problem.schedule.phases[0], duration_bounds=(0.05, 3.0))
     solution = trajopt.solve(replace(problem, robot=robot, schedule=Schedule((phase,))), intervals=12)
     assert solution.converged
@@ -224,7 +217,7 @@ def test_kinematic_reach_of_an_arm_solves_with_less_than_a_dynamic_one():
     dynamic = problems.load("ur5-reach")
     keep = [term for term in dynamic.terms if type(term).__name__ in ("FramePose", "PositionLimits")]
     kinematic = replace(
-        dynamic, actuation="velocity", terms=(VelocityCost(weight=1.0), VelocityLimits(), *keep)
+        dynamic, actuation="velocity", terms=(terms.VelocityCost(weight=1.0), terms.VelocityLimits(), *keep)
     )
     sizes = [prepare(p).transcription.layout.n_unknowns for p in (dynamic, kinematic)]
     assert sizes[1] < sizes[0]
@@ -252,7 +245,9 @@ def bounded(problem: Problem, scheme: str = "legendre:1") -> dict[int, tuple[boo
 
 
 def limited(schedule: Schedule, *phases: str) -> Problem:
-    return hop(schedule=schedule, terms=(PositionLimits(during=phases), VelocityLimits(during=phases)))
+    return hop(
+        schedule=schedule, terms=(terms.PositionLimits(during=phases), terms.VelocityLimits(during=phases))
+    )
 
 
 def test_limits_of_a_phase_hold_at_its_nodes_whatever_lies_between_phases():
@@ -277,7 +272,7 @@ def test_limits_of_a_scheme_with_a_point_at_the_end_are_not_repeated_after_a_cha
 @pytest.mark.parametrize("fraction", [0.0, 0.5, 1.0])
 def test_frame_height_acts_at_one_node_of_its_phase(fraction):
     for impact in (False, True):
-        raised = FrameHeight(frame=FOOT, height=0.0, at=Moment("flight", fraction))
+        raised = terms.FrameHeight(frame=FOOT, height=0.0, at=Moment("flight", fraction))
         problem = hop(schedule=phases(free=False, impact=impact), terms=(raised,))
         rows = prepare(problem, intervals=6).transcription.rows
         assert np.sum(rows.block == rows.names.index("frame_height")) == 1
@@ -308,7 +303,7 @@ test_what_cannot_be_is_refused = refused_calls(
         "the first phase 'p' begins with an impact",
     ),
     (
-        lambda: replace(landing(impact=True), dynamics=(BaseDynamics(),)),
+        lambda: replace(landing(impact=True), dynamics=(terms.BaseDynamics(),)),
         "begins with an impact, but the dynamics hold no contacts",
     ),
     (
@@ -316,7 +311,7 @@ test_what_cannot_be_is_refused = refused_calls(
         "impact of Phase 'p' is 'no'; allowed: True or False",
     ),
     (
-        lambda: hop(terms=(TorqueCost,)),
+        lambda: hop(terms=(terms.TorqueCost,)),
         r"terms\[0\] of Problem 'hop' is the class TorqueCost; allowed: a Term",
     ),
 )

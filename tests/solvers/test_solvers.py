@@ -26,7 +26,7 @@ from tests.support.problems import (
     reach,
 )
 from tests.support.refusals import refused
-from trajopt import Problem, Robot
+from trajopt import Problem, Robot, terms
 from trajopt.cache import CACHE_VARIABLE
 from trajopt.robot import Drive
 from trajopt.solvers.drivers import SOLVERS, run_solver
@@ -36,17 +36,6 @@ from trajopt.solvers.result import StoppingCriteria
 from trajopt.solvers.status import Status
 from trajopt.solving.solving import PreparedProblem, prepare, solve, solve_prepared
 from trajopt.solving.stalling import DECREASE, DUAL_LIMIT, START, TAIL, VIOLATION, WINDOW, is_stalled
-from trajopt.terms import (
-    AccelerationCost,
-    PostureCost,
-    PowerCost,
-    TimeCost,
-    TorqueCost,
-    TorqueLimits,
-    TrackingCost,
-    VelocityCost,
-    WrenchCost,
-)
 from trajopt.transcription import Derivatives
 from trajopt.transcription.compilation import compile_points
 from trajopt.transcription.guess import perturbed
@@ -160,7 +149,7 @@ def symbolic(t: Transcription) -> tuple[ca.MX, ca.MX, ca.MX]:
 
 def swing_up() -> Problem:
     """The arm against gravity."""
-    return reach(gravity=True, terms=(TorqueCost(weight=1.0),))
+    return reach(gravity=True, terms=(terms.TorqueCost(weight=1.0),))
 
 
 @pytest.mark.long
@@ -302,17 +291,21 @@ def drives(robot: Robot) -> Robot:
 
 def cases() -> dict[str, tuple[Robot, tuple[str, ...], tuple]]:
     ordinary = (
-        TorqueCost(weight=0.7), AccelerationCost(weight=0.3), VelocityCost(weight=0.2),
-        PostureCost(weight=0.5), WrenchCost(weight=0.4), TorqueLimits(),
+        terms.TorqueCost(weight=0.7), terms.AccelerationCost(weight=0.3), terms.VelocityCost(weight=0.2),
+        terms.PostureCost(weight=0.5), terms.WrenchCost(weight=0.4), terms.TorqueLimits(),
     )  # fmt: skip
     feet = ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")
     hot = drives(one_joint_arm(gravity=True))
     return {
         "solo12": (robots.load("solo12"), feet, ordinary),
-        "hopper-tracks": (hopper(), ("foot",), (TrackingCost(weight=2.0, reference=turning(hopper())),)),
-        "hopper-power": (hopper(), ("foot",), (PowerCost(weight=1.5), TorqueCost(weight=0.1))),
-        "planar-recovers": (planar_hopper(), ("foot",), (PowerCost(weight=1.5, recovered=0.4),)),
-        "arm-heats": (hot, (), (PowerCost(weight=2.0),)),
+        "hopper-tracks": (
+            hopper(),
+            ("foot",),
+            (terms.TrackingCost(weight=2.0, reference=turning(hopper())),),
+        ),
+        "hopper-power": (hopper(), ("foot",), (terms.PowerCost(weight=1.5), terms.TorqueCost(weight=0.1))),
+        "planar-recovers": (planar_hopper(), ("foot",), (terms.PowerCost(weight=1.5, recovered=0.4),)),
+        "arm-heats": (hot, (), (terms.PowerCost(weight=2.0),)),
     }
 
 
@@ -341,8 +334,8 @@ def symmetric(lower: object) -> np.ndarray:
 
 @pytest.mark.parametrize("name", cases())
 def test_gauss_newton_is_twice_the_weighted_square_of_slopes_by_finite_differences(name):
-    robot, contacts, terms = cases()[name]
-    point, p = point_of(robot, contacts, terms)
+    robot, contacts, all_terms = cases()[name]
+    point, p = point_of(robot, contacts, all_terms)
     made, at = Derivatives(point).gauss_newton, residuals(point, p)
     for seed in range(2):
         generator = np.random.default_rng(seed)
@@ -356,8 +349,8 @@ def test_gauss_newton_is_twice_the_weighted_square_of_slopes_by_finite_differenc
 
 @pytest.mark.parametrize("name", ["solo12", "hopper-tracks"])
 def test_costs_of_squares_are_their_weighted_squares(name):
-    robot, contacts, terms = cases()[name]
-    point, p = point_of(robot, contacts, terms)
+    robot, contacts, all_terms = cases()[name]
+    point, p = point_of(robot, contacts, all_terms)
     z = random_point(robot, point, np.random.default_rng(3))
     r, w = residuals(point, p)(z)
     assert_allclose(float(Derivatives(point).value(z, p)[0]), w @ r**2, **SAME)
@@ -367,7 +360,9 @@ def test_costs_of_squares_are_their_weighted_squares(name):
 def test_curvature_of_power_is_that_of_its_rounded_magnitude(recovered, smoothing):
     """Along the power itself: the second difference of the cost as a function of the power alone."""
     robot = planar_hopper()
-    point, p = point_of(robot, ("foot",), (PowerCost(weight=1.5, recovered=recovered, smoothing=smoothing),))
+    point, p = point_of(
+        robot, ("foot",), (terms.PowerCost(weight=1.5, recovered=recovered, smoothing=smoothing),)
+    )
     power, weights = residuals(point, p)(random_point(robot, point, np.random.default_rng(1)))
 
     def cost(x: np.ndarray) -> np.ndarray:
@@ -393,9 +388,9 @@ def problems_with_every_cost() -> dict[str, Problem]:
     )
     timed = replace(free, schedule=replace(free.schedule, phases=phases))
     more = (
-        TimeCost(weight=0.5),
-        PowerCost(weight=0.5),
-        TrackingCost(weight=1.0, reference=turning(hopper())),
+        terms.TimeCost(weight=0.5),
+        terms.PowerCost(weight=0.5),
+        terms.TrackingCost(weight=1.0, reference=turning(hopper())),
     )
     return {"hop": free, "free-durations": replace(timed, terms=(*timed.terms, *more)), "reach": reach()}
 
@@ -422,14 +417,14 @@ def test_where_residuals_and_rows_are_linear_gauss_newton_is_exact():
 
 
 def test_costs_without_squares_have_no_curvature():
-    prepared = prepare(reach(terms=(TimeCost(weight=1.0),)), intervals=3, hessian="gauss-newton")
+    prepared = prepare(reach(terms=(terms.TimeCost(weight=1.0),)), intervals=3, hessian="gauss-newton")
     found = prepared.nlp.engine.hessian(prepared.guess, 1.0, np.ones(prepared.transcription.n_rows))
     assert_allclose(found, 0.0)
 
 
 @pytest.mark.parametrize("hessian", ["gauss-newton", "limited-memory"])
 def test_every_hessian_ends_at_the_optimum_of_the_exact_one(hessian):
-    problem = reach(gravity=True, terms=(TorqueCost(weight=1.0), VelocityCost(weight=0.1)))
+    problem = reach(gravity=True, terms=(terms.TorqueCost(weight=1.0), terms.VelocityCost(weight=0.1)))
     best = solve(problem).statistics.objective
     found = solve(problem, hessian=hessian)
     assert found.converged

@@ -26,7 +26,7 @@ from tests.support.problems import (
     reach,
 )
 from tests.support.refusals import refused_calls
-from trajopt import InputError, Phase, Problem, Robot, Schedule, Solution, end_of, middle_of
+from trajopt import InputError, Phase, Problem, Robot, Schedule, Solution, end_of, middle_of, terms
 from trajopt.certify.accuracy import measure
 from trajopt.motion.samples import sample_quantities
 from trajopt.robot import Units
@@ -36,15 +36,6 @@ from trajopt.solving import converged_reference
 from trajopt.solving.extraction import extract
 from trajopt.solving.reference import Agreement, NoReferenceError, in_other_optimum
 from trajopt.solving.solving import prepare, solve
-from trajopt.terms import (
-    AccelerationCost,
-    FrameDirection,
-    PostureCost,
-    TerminalState,
-    TorqueCost,
-    TorqueLimits,
-    VelocityCost,
-)
 from trajopt.transcription import transcribe
 from trajopt.transcription.guess import initial_guess
 from trajopt.transcription.schemes import scheme
@@ -79,7 +70,7 @@ def test_minimum_acceleration_motion_is_the_known_cubic(name, order, solver):
 
 def swing(**options: object) -> float:
     """Least squared torque against gravity: nonlinear, with no closed form."""
-    costs = (TorqueCost(weight=1.0), VelocityCost(weight=0.1))
+    costs = (terms.TorqueCost(weight=1.0), terms.VelocityCost(weight=0.1))
     solution = solve(reach(gravity=True, terms=costs), tolerance=1e-9, **options)
     assert solution.converged
     return solution.statistics.objective
@@ -107,7 +98,7 @@ def test_not_converging_is_a_status_with_advice_and_no_exception():
 
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_goal_beyond_the_torque_limit_is_not_a_success(solver):
-    weak = reach(terms=(AccelerationCost(weight=1.0), TorqueLimits(limit=np.array([0.05]))))
+    weak = reach(terms=(terms.AccelerationCost(weight=1.0), terms.TorqueLimits(limit=np.array([0.05]))))
     solution = solve(weak, transcription="legendre:2", solver=solver, max_iterations=200)
     assert not solution.success
     assert solution.statistics.status in ("infeasible", "step_failed", "iteration_limit")
@@ -122,7 +113,7 @@ def broken_after(problem: Problem, time: float) -> Problem:
 
 
 def test_guess_that_is_not_finite_is_refused_with_its_time():
-    problem = broken_after(reach(gravity=True, terms=(TorqueCost(weight=1.0),)), 0.41)
+    problem = broken_after(reach(gravity=True, terms=(terms.TorqueCost(weight=1.0),)), 0.41)
     with pytest.raises(InputError, match=r"guess of problem 'reach' at t = 0\.4\d+ s is not finite"):
         solve(problem, transcription="legendre:1", intervals=8)
 
@@ -131,7 +122,7 @@ def test_function_that_is_not_finite_is_a_status_that_names_the_place():
     """The error of a rotation has a pole at half a turn: here the guess ends there, to the last digit."""
     turned = hop().robot.reference.copy()
     turned[3:7] = [0.0, 0.0, 1.0, 0.0]
-    problem = hop(terms=(TorqueCost(weight=1.0), TerminalState(q=turned)))
+    problem = hop(terms=(terms.TorqueCost(weight=1.0), terms.TerminalState(q=turned)))
     solution = solve(problem, transcription="legendre:1")
     assert solution.statistics.status == "not_finite"
     assert solution.statistics.advice.splitlines()[::2] == Status.NOT_FINITE.explain().splitlines()
@@ -337,7 +328,7 @@ TIME = r"no reference: (the time is up|.* is not solved \(time limit\))"
 
 def reference_swing() -> Problem:
     """A bar lifted against gravity with little torque: no polynomial in time."""
-    return reach(gravity=True, terms=(TorqueCost(weight=1.0),))
+    return reach(gravity=True, terms=(terms.TorqueCost(weight=1.0),))
 
 
 def bar() -> Robot:
@@ -353,7 +344,7 @@ def bar() -> Robot:
 
 def either_way(sign: float) -> Problem:
     """Turn far away from the downward direction, either way: one optimum each, chosen by the guess."""
-    away = FrameDirection(
+    away = terms.FrameDirection(
         frame="bar", axis=(0, 0, 1), direction=(0.05, 0, -1), angle=np.pi - TURN, at=end_of("turn")
     )
     return Problem(
@@ -361,7 +352,7 @@ def either_way(sign: float) -> Problem:
         robot=bar(),
         schedule=Schedule((Phase(name="turn", duration=1.0),)),
         initial_q=np.zeros(1),
-        terms=(AccelerationCost(weight=1.0), PostureCost(weight=0.1), away),
+        terms=(terms.AccelerationCost(weight=1.0), terms.PostureCost(weight=0.1), away),
         guess=lambda t: np.array([sign * TURN * t]),
         default_intervals=6,
     )
@@ -413,7 +404,7 @@ def test_budget_ends_the_climb_and_names_the_agreement():
 
 
 def test_mesh_that_is_not_solved_is_named():
-    goal = replace(reference_swing(), terms=(*reference_swing().terms, FrameDirection(
+    goal = replace(reference_swing(), terms=(*reference_swing().terms, terms.FrameDirection(
         frame="universe", axis=(0, 0, 1), direction=(0, 0, -1), angle=0.1, at=middle_of("reach"),
     )))  # fmt: skip
     with pytest.raises(NoReferenceError, match="legendre:2 with 10 intervals is not solved"):

@@ -25,26 +25,11 @@ from tests.support.problems import (
     reach,
 )
 from tests.support.processes import LIMIT, environment
-from trajopt import Problem, Robot, _engine
+from trajopt import Problem, Robot, _engine, terms
 from trajopt.cache import CACHE_VARIABLE
 from trajopt.dynamics import Coordinates
 from trajopt.robot import Units
 from trajopt.solving.solving import prepare
-from trajopt.terms import (
-    AccelerationCost,
-    ContactAcceleration,
-    Context,
-    FrictionCone,
-    FrictionPyramid,
-    PositionLimits,
-    PostureCost,
-    SoleLimits,
-    TorqueCost,
-    TorqueLimits,
-    VelocityCost,
-    VelocityLimits,
-    WrenchCost,
-)
 from trajopt.transcription import Derivatives, transcribe
 from trajopt.transcription.compilation import compile_points, entry_key
 from trajopt.transcription.stage_functions import PointFunction
@@ -53,15 +38,20 @@ from trajopt_library import robots
 # Two graphs of one function in double precision, entries up to a few hundred.
 SAME = {"rtol": 1e-9, "atol": 1e-9}
 SEEDS = (0, 1)
-COSTS = (TorqueCost, AccelerationCost, VelocityCost, PostureCost, WrenchCost)
-LIMITS = (TorqueLimits(), PositionLimits(), VelocityLimits(), FrictionCone(friction=0.7))
+COSTS = (terms.TorqueCost, terms.AccelerationCost, terms.VelocityCost, terms.PostureCost, terms.WrenchCost)
+LIMITS = (
+    terms.TorqueLimits(),
+    terms.PositionLimits(),
+    terms.VelocityLimits(),
+    terms.FrictionCone(friction=0.7),
+)
 TERMS = (*(cost(weight=0.3 + i) for i, cost in enumerate(COSTS)), *LIMITS)
 FEET = ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")
 # Of the second derivatives of Solo12 on four feet; 43k at the time of writing.
 STANCE_STATEMENTS = 50_000
 
 
-class PlainContext(Context):
+class PlainContext(terms.Context):
     """A point whose robot is evaluated in world axes, whatever its base."""
 
     has_free_flyer = False
@@ -95,8 +85,8 @@ FREE_FLYING = ("solo12-stance", "solo12-flight", "sole", "hopper")
 @lru_cache
 def built(name: str) -> tuple[PointFunction, np.ndarray, Derivatives]:
     robot, contacts = case(name)
-    terms = (*TERMS, SoleLimits(friction=0.7)) if name == "sole" else TERMS
-    point, parameters = point_of(robot, contacts, terms)
+    all_terms = (*TERMS, terms.SoleLimits(friction=0.7)) if name == "sole" else TERMS
+    point, parameters = point_of(robot, contacts, all_terms)
     return point, parameters, Derivatives(point)
 
 
@@ -221,7 +211,7 @@ def test_contact_rows_are_as_large_as_the_numeric_classical_acceleration(name):
 
 def test_terms_without_the_robot_need_no_layers():
     robot = robots.load("ur5")
-    point, p = point_of(robot, (), (AccelerationCost(weight=2.0), PositionLimits()))
+    point, p = point_of(robot, (), (terms.AccelerationCost(weight=2.0), terms.PositionLimits()))
     assert point.layers == ()
     at = random_point(robot, point, np.random.default_rng(0))
     expected = 2.0 * np.mean((at[12:] / Units(robot).acceleration) ** 2)
@@ -229,8 +219,8 @@ def test_terms_without_the_robot_need_no_layers():
 
 
 def test_contact_rows_vanish_for_nobody_in_contact():
-    robot, context = hopper(), Context(hopper(), Coordinates(hopper().model), (), node=False)
-    assert ContactAcceleration().rows(context, Units(robot)) is None
+    robot, context = hopper(), terms.Context(hopper(), Coordinates(hopper().model), (), node=False)
+    assert terms.ContactAcceleration().rows(context, Units(robot)) is None
 
 
 def test_second_derivatives_of_a_quadruped_in_stance_stay_small():
@@ -281,9 +271,11 @@ def test_landing_after_stance_shares_its_code(cache):
 def test_parameters_scheme_and_intervals_add_no_entry(cache):
     compile_points(points_of(hop()))
     made = entries(cache)
-    terms = [TorqueCost(weight=7.0) if isinstance(term, TorqueCost) else term for term in hop().terms]
+    all_terms = [
+        terms.TorqueCost(weight=7.0) if isinstance(term, terms.TorqueCost) else term for term in hop().terms
+    ]
     for changed in (
-        points_of(hop(terms=tuple(terms))),
+        points_of(hop(terms=tuple(all_terms))),
         points_of(hop(), "radau:3", 11),
         points_of(hop(), "trapezoidal", 5),
     ):
@@ -293,7 +285,7 @@ def test_parameters_scheme_and_intervals_add_no_entry(cache):
 
 
 def test_friction_coefficient_is_a_parameter(cache):
-    first, second = (points_of(hop(terms=(FrictionPyramid(friction=mu),))) for mu in (0.4, 0.9))
+    first, second = (points_of(hop(terms=(terms.FrictionPyramid(friction=mu),))) for mu in (0.4, 0.9))
     assert [entry_key(point) for point in first] == [entry_key(point) for point in second]
 
 

@@ -25,31 +25,11 @@ from tests.support.scenes import (
     symmetrised,
     usual,
 )
-from trajopt import Contact, InputError, Phase, Problem, Robot, Schedule, Solution, middle_of
+from trajopt import Contact, InputError, Phase, Problem, Robot, Schedule, Solution, middle_of, terms
 from trajopt.certify.report import AT_POINTS
 from trajopt.reduced.scenes import smallest
 from trajopt.robot import Units, contact_positions, inverse_kinematics
 from trajopt.robot.building import leaving_plane
-from trajopt.terms import (
-    AccelerationCost,
-    Context,
-    Cost,
-    DriveLimits,
-    FrameHeight,
-    FramePose,
-    ImpulseCost,
-    MotorTorqueCost,
-    NodeConstraint,
-    NodePlace,
-    NormalForce,
-    PointConstraint,
-    PostureCost,
-    Rows,
-    TerminalState,
-    TimeCost,
-    TorqueCost,
-    TorqueLimits,
-)
 from trajopt.terrain import Surface
 from trajopt_library import problems
 
@@ -61,23 +41,23 @@ ARMS = ("left_arm", "right_arm")
 
 
 @dataclass(frozen=True, kw_only=True)
-class FeetWidth(NodeConstraint):
+class FeetWidth(terms.NodeConstraint):
     """Distance between both feet at the end, m: a constraint of a kind that scenes do not know."""
 
     width: float
 
-    def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
+    def rows(self, context: terms.Context, units: Units, place: terms.NodePlace) -> terms.Rows:
         left, right = (context.frame(foot).position for foot in FEET)
-        return Rows.create(
+        return terms.Rows.create(
             ca.vertcat(left[1] - right[1], left[0] - right[0]), [self.width, 0], [self.width, 0], units.length
         )
 
 
 @dataclass(frozen=True, kw_only=True)
-class LeftFootCost(Cost):
+class LeftFootCost(terms.Cost):
     """Where the left foot is: prices one side alone."""
 
-    def residual(self, context: Context, units: Units) -> ca.SX:
+    def residual(self, context: terms.Context, units: Units) -> ca.SX:
         return context.frame(FEET[0]).position / units.length
 
 
@@ -100,15 +80,15 @@ def test_the_half_of_a_symmetric_robot_has_the_optimum_of_the_whole(tilt: float)
 def hop(robot: Robot, *, impact: bool, free: bool) -> Problem:
     """Stance, flight and landing, by an impact or softly, in a time that is free or not."""
     bounds = {"duration_bounds": (0.1, 0.4)} if free else {}
-    extra = [TimeCost(weight=1e-2)] if free else []
+    extra = [terms.TimeCost(weight=1e-2)] if free else []
     end = usual(robot)
     return push(
         robot,
         terms=(
             *end,
             *extra,
-            ImpulseCost(weight=1e-2),
-            FrameHeight(frame="waist", height=0.12 + robot.reference[2], at=middle_of("flight")),
+            terms.ImpulseCost(weight=1e-2),
+            terms.FrameHeight(frame="waist", height=0.12 + robot.reference[2], at=middle_of("flight")),
         ),
         schedule=Schedule(
             (
@@ -169,18 +149,18 @@ def asymmetric_tasks() -> dict[str, Problem]:
     one = Schedule((Phase(name="stance", duration=0.3, contacts=FEET[:1]),))
     wall = Surface(point=feet[FEET[0]], normal=np.array([0.0, 0.3, 1.0]))
     slope = Schedule((Phase(name="stance", duration=0.3, contacts=FEET, surfaces={FEET[0]: wall}),))
-    goal = FramePose(frame="waist", position=np.array([0.0, 0.1, 0.6]))
+    goal = terms.FramePose(frame="waist", position=np.array([0.0, 0.1, 0.6]))
     uneven = np.full(robot.nu, 50.0)
     uneven[0] = 20.0
-    endless = tuple(term for term in usual(robot) if not isinstance(term, TerminalState))
+    endless = tuple(term for term in usual(robot) if not isinstance(term, terms.TerminalState))
     return {
         "level": push(robot, initial_q=rolled, terms=endless),
         "the start": push(robot, initial_v=sideways),
         "contact 'left_foot'": push(robot, schedule=one),
         "the surface under 'left_foot'": push(robot, schedule=slope),
         "frame_pose": push(robot, terms=(*usual(robot), goal)),
-        "torque_limits": push(robot, terms=(*usual(robot), TorqueLimits(limit=uneven))),
-        "normal_force": push(robot, terms=(*usual(robot), NormalForce(contact=FEET[0], upper=15.0))),
+        "torque_limits": push(robot, terms=(*usual(robot), terms.TorqueLimits(limit=uneven))),
+        "normal_force": push(robot, terms=(*usual(robot), terms.NormalForce(contact=FEET[0], upper=15.0))),
         "left_foot_cost": push(robot, terms=(*usual(robot), LeftFootCost(weight=1.0))),
     }
 
@@ -196,11 +176,11 @@ def test_terms_of_unknown_kinds_and_both_sides_come_with_the_half() -> None:
     data = robot.model.createData()
     pin.framesForwardKinematics(robot.model, data, robot.reference)
     feet = [data.oMf[robot.model.getFrameId(foot)].translation[1] for foot in FEET]
-    both = tuple(NormalForce(contact=foot, upper=0.53 * robot.weight) for foot in FEET)
-    waist = FramePose(frame="waist", rotation=pin.rpy.rpyToMatrix(0.0, 0.05, 0.0))
+    both = tuple(terms.NormalForce(contact=foot, upper=0.53 * robot.weight) for foot in FEET)
+    waist = terms.FramePose(frame="waist", rotation=pin.rpy.rpyToMatrix(0.0, 0.05, 0.0))
     extra = (*both, waist)
-    terms = tuple(t for t in usual(robot) if type(t).__name__ != "TerminalState")
-    problem = push(robot, terms=(*terms, *extra))
+    all_terms = tuple(t for t in usual(robot) if type(t).__name__ != "TerminalState")
+    problem = push(robot, terms=(*all_terms, *extra))
     keep = ("left_abduction", "right_abduction", *ARMS)
     made = smallest(problem, keep=keep, plane=True)
     full, own = solved(problem), solved(made.problem)
@@ -210,15 +190,17 @@ def test_terms_of_unknown_kinds_and_both_sides_come_with_the_half() -> None:
     turned = data.oMf[robot.model.getFrameId("waist")].rotation
     assert_allclose(turned, pin.rpy.rpyToMatrix(0.0, 0.05, 0.0), atol=SAME_MOTION)
     # One row of three turns in the plane, and the other foot's distance follows from this one's.
-    width = smallest(push(robot, terms=(*terms, FeetWidth(width=feet[0] - feet[1]))), keep=keep, plane=True)
+    width = smallest(
+        push(robot, terms=(*all_terms, FeetWidth(width=feet[0] - feet[1]))), keep=keep, plane=True
+    )
     assert made.report.after.rows - width.report.after.rows == len(width.problem.schedule.phases) * 12
 
 
 def test_drives_of_the_whole_robot_price_and_limit_the_half_alike() -> None:
     robot = biped()
     robot = robot.with_drives({name: drive() for name in ("left_hip", "right_hip")})
-    terms = tuple(term for term in usual(robot) if not isinstance(term, TorqueLimits))
-    problem = push(robot, terms=(*terms, MotorTorqueCost(weight=1.0), DriveLimits()))
+    all_terms = tuple(term for term in usual(robot) if not isinstance(term, terms.TorqueLimits))
+    problem = push(robot, terms=(*all_terms, terms.MotorTorqueCost(weight=1.0), terms.DriveLimits()))
     keep = ("left_abduction", "right_abduction", *ARMS)
     made = smallest(problem, keep=keep, plane=True)
     assert made.report.is_exact
@@ -237,7 +219,7 @@ def test_abduction_is_locked_where_legs_move_in_the_plane_without_it() -> None:
 
 def test_a_symmetric_task_may_have_a_better_optimum_that_is_not_its_own_image() -> None:
     robot = biped()
-    problem = push(robot, terms=(*usual(robot), AccelerationCost(weight=1.0)))
+    problem = push(robot, terms=(*usual(robot), terms.AccelerationCost(weight=1.0)))
     made = smallest(problem, keep=("left_abduction", "right_abduction", *ARMS), plane=True)
     # From a start that is not its own image: iterates from one that is stay so, but for rounding.
     full, own = solved(problem, perturb=0.01), solved(made.problem)
@@ -255,7 +237,7 @@ def test_a_foothold_to_the_side_keeps_the_abduction() -> None:
         feet[foot][1] += 0.05 * side
     problem = hop(robot, impact=False, free=False)
     last = replace(problem.schedule.phases[-1], footholds=feet)
-    endless = tuple(term for term in problem.terms if not isinstance(term, TerminalState))
+    endless = tuple(term for term in problem.terms if not isinstance(term, terms.TerminalState))
     wide = replace(problem, schedule=Schedule((*problem.schedule.phases[:-1], last)), terms=endless)
     assert smallest(wide).problem.robot.nv == 6
 
@@ -292,15 +274,15 @@ def test_in_the_plane_the_optimum_is_that_of_the_whole_robot_with_abduction_lock
 
 
 @dataclass(frozen=True, kw_only=True)
-class Hold(PointConstraint):
+class Hold(terms.PointConstraint):
     """Some joints do not accelerate: from rest, they stay. Its rows are the coordinates' own."""
 
     joints: tuple[str, ...]
 
-    def rows(self, context: Context, units: Units) -> Rows:
+    def rows(self, context: terms.Context, units: Units) -> terms.Rows:
         model = context.robot.model
         held = [context.ddxi[model.joints[model.getJointId(name)].idx_v] for name in self.joints]
-        return Rows.create(ca.vertcat(*held), 0, 0, 1.0)
+        return terms.Rows.create(ca.vertcat(*held), 0, 0, 1.0)
 
 
 # What nothing needs
@@ -326,12 +308,12 @@ def test_sizes_in_the_report_are_those_of_the_solved_problems() -> None:
 
 def test_locked_joints_give_the_optimum_of_the_full_problem_that_holds_them() -> None:
     robot = biped(waist=True)
-    terms = [term for term in usual(robot) if not isinstance(term, TorqueCost)]
+    all_terms = [term for term in usual(robot) if not isinstance(term, terms.TorqueCost)]
     above = (*ARMS, "waist_yaw", "waist_pitch")
-    problem = push(robot, terms=terms)
+    problem = push(robot, terms=all_terms)
     made = smallest(problem, plane=False)
     assert set(made.problem.robot.model.names) == set(robot.model.names) - set(above)
-    held = solved(replace(problem, terms=(*terms, Hold(joints=above))))
+    held = solved(replace(problem, terms=(*all_terms, Hold(joints=above))))
     own = solved(made.problem)
     assert objective(own) == pytest.approx(objective(held), rel=SAME_OPTIMUM)
     assert_allclose(made.lift(own).q, held.q, atol=SAME_MOTION)
@@ -366,10 +348,10 @@ def test_a_joint_is_needed_by_its_goal_its_posture_its_speed_or_a_term_about_it(
     raised[joint.idx_q : joint.idx_q + 2] = [np.cos(0.5), np.sin(0.5)]
     moving[joint.idx_v] = 0.1
     for changes in (
-        {"terms": (*usual(robot), PostureCost(weight=1.0, q=raised))},
+        {"terms": (*usual(robot), terms.PostureCost(weight=1.0, q=raised))},
         {"initial_v": moving},
         {"terms": (*usual(robot), Hold(joints=("left_arm",)))},
-        {"terms": (*usual(robot), FrameHeight(frame="left_arm", height=0.0, at=middle_of("stance")))},
+        {"terms": (*usual(robot), terms.FrameHeight(frame="left_arm", height=0.0, at=middle_of("stance")))},
     ):
         names = list(smallest(push(robot, **changes), plane=False).problem.robot.model.names)
         assert "left_arm" in names
@@ -396,9 +378,9 @@ def test_joints_to_lock_may_be_named_and_must_exist_and_be_free() -> None:
 def test_arrays_over_joints_follow_the_joints_that_are_left() -> None:
     robot = biped()
     limit = np.arange(1.0, robot.nu + 1)
-    terms = (*usual(robot), TorqueLimits(limit=limit))
-    made = smallest(push(robot, terms=terms), plane=False)
-    own = next(t for t in made.problem.terms if isinstance(t, TorqueLimits) and t.limit is not None)
+    all_terms = (*usual(robot), terms.TorqueLimits(limit=limit))
+    made = smallest(push(robot, terms=all_terms), plane=False)
+    own = next(t for t in made.problem.terms if isinstance(t, terms.TorqueLimits) and t.limit is not None)
     assert_allclose(own.limit, limit[:6])
     assert made.problem.guess(0.0).shape == made.problem.initial_q.shape == (made.problem.robot.nq,)
 
@@ -435,11 +417,11 @@ def test_without_a_term_on_torques_the_optimum_is_found_without_them() -> None:
 
 
 def test_torques_are_modelled_where_they_are_priced_or_limited() -> None:
-    for term in (TorqueCost(weight=1.0), TorqueLimits(limit=np.array([5.0]))):
-        made = smallest(reach(gravity=True, terms=(AccelerationCost(weight=1.0), term)))
+    for term in (terms.TorqueCost(weight=1.0), terms.TorqueLimits(limit=np.array([5.0]))):
+        made = smallest(reach(gravity=True, terms=(terms.AccelerationCost(weight=1.0), term)))
         assert made.problem.actuation == "torque"
-    for term in (TorqueCost(weight=0.0), TorqueLimits()):
-        made = smallest(reach(gravity=True, terms=(AccelerationCost(weight=1.0), term)))
+    for term in (terms.TorqueCost(weight=0.0), terms.TorqueLimits()):
+        made = smallest(reach(gravity=True, terms=(terms.AccelerationCost(weight=1.0), term)))
         assert made.problem.actuation == "acceleration"
 
 
@@ -455,7 +437,7 @@ def test_limits_beyond_reach_friction_of_grasps_and_flight_are_reported_with_the
 
 
 def test_a_velocity_source_is_offered_and_not_taken() -> None:
-    made = smallest(reach(terms=(PostureCost(weight=1.0),)))
+    made = smallest(reach(terms=(terms.PostureCost(weight=1.0),)))
     assert made.problem.actuation == "acceleration"
 
 

@@ -11,7 +11,7 @@ import trajopt
 from scripts.measure.scenes import SQUAT_INTERVALS, sideways, talos_squat
 from tests.support.problems import hopper, one_joint_arm, reach
 from tests.support.scenes import FEET, biped, drive, objective, push, solved, symmetrised
-from trajopt import Contact, FlatGround, InputError, Phase, Problem, Robot, Schedule
+from trajopt import Contact, FlatGround, InputError, Phase, Problem, Robot, Schedule, terms
 from trajopt.certify.report import AT_POINTS
 from trajopt.dynamics.model_quantities import generalized_force
 from trajopt.reduced.scenes import scene, smallest
@@ -25,15 +25,6 @@ from trajopt.robot.mirror import (
     mirrored_rows,
     paired_contacts,
     pairs,
-)
-from trajopt.terms import (
-    AccelerationCost,
-    FrictionCone,
-    PositionLimits,
-    TorqueCost,
-    TorqueLimits,
-    VelocityLimits,
-    WrenchCost,
 )
 from trajopt_library import robots
 
@@ -279,8 +270,8 @@ def corners(robot: Robot) -> Problem:
         robot,
         schedule=Schedule((Phase(name="stance", duration=0.2, contacts=names),)),
         terms=(
-            TorqueCost(weight=1.0), AccelerationCost(weight=1e-2), WrenchCost(weight=1e-6),
-            FrictionCone(), TorqueLimits(),
+            terms.TorqueCost(weight=1.0), terms.AccelerationCost(weight=1e-2), terms.WrenchCost(weight=1e-6),
+            terms.FrictionCone(), terms.TorqueLimits(),
         ),
         initial_v=np.array([0.1, 0, 0, 0, 0, 0, 0.1, 0]),
     )  # fmt: skip
@@ -400,8 +391,8 @@ def test_talos_squats_on_the_joints_it_needs_within_measured_differences() -> No
 
 
 def test_a_robot_of_which_nothing_is_asked_keeps_its_joints() -> None:
-    made = smallest(reach(terms=(AccelerationCost(weight=1.0),)), keep=[])
-    idle = replace(made.original, terms=(AccelerationCost(weight=1.0),))
+    made = smallest(reach(terms=(terms.AccelerationCost(weight=1.0),)), keep=[])
+    idle = replace(made.original, terms=(terms.AccelerationCost(weight=1.0),))
     kept = smallest(idle)
     assert kept.problem.robot.nv == 1
     assert any("no joint is needed" in decision.why for decision in kept.report.of_kind("kept"))
@@ -411,4 +402,4 @@ def test_ground_and_arm_of_the_reach_are_untouched() -> None:
     made = smallest(reach())
     assert made.problem.robot.nv == one_joint_arm().nv
     assert made.problem.terrain == FlatGround()
-    assert not any(isinstance(t, PositionLimits | VelocityLimits) for t in made.problem.terms)
+    assert not any(isinstance(t, terms.PositionLimits | terms.VelocityLimits) for t in made.problem.terms)
