@@ -45,7 +45,7 @@ def blocks(document: str) -> list[str]:
 
 
 DOCUMENTS = [str(path.relative_to(ROOT)) for path in PAGES]
-# Examples that pages show whole, which `test_examples.py` runs.
+# Examples that pages show whole, which `test_notebooks.py` runs.
 EXAMPLES = {path.read_text(encoding="utf-8") for path in (ROOT / "docs" / "examples").glob("*.py")}
 ALL = [(page, index) for page in DOCUMENTS for index, text in enumerate(blocks(page)) if text not in EXAMPLES]
 
