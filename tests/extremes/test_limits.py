@@ -9,8 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tests.extremes.changed_robots import limited, solo, ur5
-from tests.extremes.motions import stand
-from tests.extremes.moves import reach, stance, with_joints
+from tests.extremes.moves import reach, stance, stand, with_joints
 from tests.extremes.outcomes import Failed, Refused, Solved, assert_outcome
 from trajopt import Problem, Solution
 from trajopt.solvers.status import Status

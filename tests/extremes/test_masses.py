@@ -11,8 +11,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tests.extremes.changed_robots import longer, made, robot_file, solo, ur5, with_gravity
-from tests.extremes.motions import stand, turn_over
-from tests.extremes.moves import reach, stance
+from tests.extremes.moves import reach, stance, stand, turn_over
 from tests.extremes.outcomes import Failed, Refused, Solved, assert_outcome
 from tests.support.problems import REACH
 from tests.support.problems import reach as arm_reach
