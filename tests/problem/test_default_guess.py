@@ -8,6 +8,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import trajopt
+from tests.support.problems import one_phase
 from trajopt import FlatGround, Phase, Problem, Robot, Schedule, end_of, middle_of, terms
 from trajopt.dynamics import STANDARD_GRAVITY
 from trajopt.problem import Periodicity, PosturePath, default_guess
@@ -202,12 +203,8 @@ def test_posture_path_rests_at_every_posture_and_stays_at_the_last() -> None:
 def test_an_arm_finds_its_way_without_a_guess() -> None:
     robot = robots.load("ur5")
     goal = terms.FramePose(frame="tool0", position=np.array([0.45, 0.25, 0.55]))
-    problem = Problem(
-        name="reach",
-        robot=robot,
-        schedule=Schedule((Phase(name="all", duration=1.0),)),
-        terms=(terms.AccelerationCost(weight=1.0), terms.TorqueLimits(), goal, terms.TerminalRest()),
-    )
+    effort = terms.AccelerationCost(weight=1.0), terms.TorqueLimits()
+    problem = one_phase(robot, *effort, goal, terms.TerminalRest())
     assert trajopt.solve(problem).statistics.success
 
 

@@ -1,7 +1,7 @@
 """Carried bodies, and inputs that make forces: passive joints, thrusters, joints that follow others."""
 
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import trajopt
 from tests.support.models import placement
+from tests.support.problems import one_phase
 from tests.support.refusals import refusals
 from tests.support.solved_problems import motion
 from trajopt import Contact, FlatGround, InputError, Phase, Problem, Robot, Schedule, Solution, terms
@@ -244,14 +245,9 @@ def flight(robot: Robot) -> Solution:
     end = robot.reference.copy()
     end[:3] += [0.5, 0.2, 0.3]
     end[7:] += 0.5
-    problem = Problem(
-        name="step",
-        robot=robot,
-        schedule=Schedule((Phase(name="fly", duration=1.0),)),
-        terms=(*effort_costs(), TorqueLimits(), TerminalState(q=end), TerminalRest(q=end)),
-        guess=lambda t: pin.interpolate(robot.model, robot.reference, end, t),
-    )
-    return trajopt.solve(problem)
+    goal = *effort_costs(), TorqueLimits(), TerminalState(q=end), TerminalRest(q=end)
+    guess = partial(pin.interpolate, robot.model, robot.reference, end)
+    return trajopt.solve(one_phase(robot, *goal, guess=guess))
 
 
 @pytest.mark.long
@@ -308,17 +304,10 @@ def moved() -> Solution:
     end = robot.reference.copy()
     end[[0, 2, 3]] += [0.5, 0.3, 0.4]
     end[4] = RATIO * end[3] + OFFSET
-    problem = Problem(
-        name="move",
-        robot=robot,
-        schedule=Schedule((Phase(name="move", duration=1.0),)),
-        terms=(
-            *(*terms.effort_costs(), terms.TorqueLimits(), terms.PositionLimits(), terms.VelocityLimits()),
-            *(terms.TerminalState(q=end), terms.TerminalRest(q=end)),
-        ),
-        guess=lambda t: robot.reference + t * (end - robot.reference),
-    )
-    return trajopt.solve(problem)
+    limits = terms.TorqueLimits(), terms.PositionLimits(), terms.VelocityLimits()
+    goal = *terms.effort_costs(), *limits, terms.TerminalState(q=end), terms.TerminalRest(q=end)
+    guess = partial(pin.interpolate, robot.model, robot.reference, end)
+    return trajopt.solve(one_phase(robot, *goal, guess=guess))
 
 
 def test_a_pair_has_one_motor_and_the_limits_of_both() -> None:

@@ -22,11 +22,12 @@ from tests.support.problems import (
     hopper,
     lean,
     one_joint_arm,
+    one_phase,
     planar_hopper,
     reach,
 )
 from tests.support.refusals import refused_calls
-from trajopt import InputError, Phase, Problem, Robot, Schedule, Solution, end_of, middle_of, terms
+from trajopt import InputError, Problem, Robot, Solution, end_of, middle_of, terms
 from trajopt.certify.accuracy import measure
 from trajopt.motion.samples import sample_quantities
 from trajopt.robot import Units
@@ -347,15 +348,9 @@ def either_way(sign: float) -> Problem:
     away = terms.FrameDirection(
         frame="bar", axis=(0, 0, 1), direction=(0.05, 0, -1), angle=np.pi - TURN, at=end_of("turn")
     )
-    return Problem(
-        name="either-way",
-        robot=bar(),
-        schedule=Schedule((Phase(name="turn", duration=1.0),)),
-        initial_q=np.zeros(1),
-        terms=(terms.AccelerationCost(weight=1.0), terms.PostureCost(weight=0.1), away),
-        guess=lambda t: np.array([sign * TURN * t]),
-        default_intervals=6,
-    )
+    chosen = terms.AccelerationCost(weight=1.0), terms.PostureCost(weight=0.1), away
+    given = {"guess": lambda t: np.array([sign * TURN * t]), "default_intervals": 6}
+    return one_phase(bar(), *chosen, name="turn", initial_q=np.zeros(1), **given)
 
 
 def test_reference_agrees_and_says_how_it_was_found():

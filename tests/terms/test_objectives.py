@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from scipy import sparse
 
 from tests.support.goals import integral, objective, sampled, wandering, with_terms
-from tests.support.problems import FOOT, REACH, hop, hopper, one_joint_arm, reach
+from tests.support.problems import FOOT, REACH, hop, hopper, one_joint_arm, one_phase, reach
 from tests.support.refusals import refused_calls
 from tests.support.scenes import biped, push, usual
 from tests.support.synthetic_motions import with_meta
@@ -67,16 +67,8 @@ def lift(mass: float = 2.0) -> Robot:
 
 def thrust(*terms: object) -> Problem:
     """The mass from rest, pushed up for ``THRUST_TIME``."""
-    robot = lift()
-    return Problem(
-        name="thrust",
-        robot=robot,
-        schedule=Schedule((Phase(name="thrust", duration=THRUST_TIME),)),
-        initial_q=np.zeros(1),
-        terms=(*terms, TorqueLimits()),
-        guess=lambda t: np.zeros(1),
-        default_intervals=8,
-    )
+    given = {"initial_q": np.zeros(1), "guess": lambda t: np.zeros(1), "default_intervals": 8}
+    return one_phase(lift(), *terms, TorqueLimits(), duration=THRUST_TIME, name="thrust", **given)
 
 
 # Costs at nodes

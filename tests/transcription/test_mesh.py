@@ -8,14 +8,13 @@ import pytest
 from numpy.polynomial import Polynomial
 from numpy.testing import assert_allclose, assert_array_equal
 
-from tests.support.problems import SCHEME_ORDERS, hop, hopper, lean
+from tests.support.problems import SCHEME_ORDERS, hop, hopper, lean, one_phase
 from tests.support.refusals import refusals, refused
 from tests.support.tumbling import DURATION, Interval, errors_at_the_end, slope, start, torque
 from trajopt import (
     Moment,
     Phase,
     Problem,
-    Schedule,
     Solution,
     check,
     end_of,
@@ -357,15 +356,7 @@ def test_error_at_the_nodes_falls_with_the_order_of_the_scheme(name, order):
 def tumbling() -> Problem:
     """The same motion as a problem: one phase without contacts."""
     q, v = start()
-    return Problem(
-        name="tumbling",
-        robot=hopper(),
-        schedule=Schedule((Phase(name="flight", duration=DURATION),)),
-        initial_q=q,
-        initial_v=v,
-        terms=(),
-        guess=lambda t: q,
-    )
+    return one_phase(hopper(), duration=DURATION, initial_q=q, initial_v=v, guess=lambda t: q)
 
 
 @pytest.mark.parametrize("name", SCHEME_ORDERS)

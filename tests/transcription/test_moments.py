@@ -10,8 +10,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.support.derivatives import assert_derivatives
 from tests.support.models import hand_built, random_state
-from tests.support.problems import FOOT, SCHEME_ORDERS, hop, hopper, landing, reach
-from trajopt import InputError, Phase, Problem, Robot, Schedule, Solution
+from tests.support.problems import FOOT, SCHEME_ORDERS, hop, hopper, landing, one_phase, reach
+from trajopt import InputError, Problem, Robot, Solution
 from trajopt.motion.configurations import SolutionMotion
 from trajopt.motion.samples import sample_quantities
 from trajopt.solving.extraction import extract
@@ -281,15 +281,8 @@ def test_angle_of_a_continuous_joint_is_counted_through_whole_turns():
     robot = Robot.from_model(model, name="spinning")
     start, _, _ = random_state(model, 0)
     turning = np.array([0.0, 9.0, 0.0])
-    problem = Problem(
-        name="spin",
-        robot=robot,
-        schedule=Schedule((Phase(name="spin", duration=2.0),)),
-        initial_q=start,
-        initial_v=turning,
-        terms=(),
-        guess=lambda t: pin.integrate(model, start, t * turning),
-    )
+    given = {"initial_v": turning, "guess": lambda t: pin.integrate(model, start, t * turning)}
+    problem = one_phase(robot, duration=2.0, initial_q=start, **given)
     t = transcribe(problem, "legendre:1", 10)
     x, layout = initial_guess(t) * t.scale, t.layout
     angles = [x[layout.node(k)][layout.forms[0].additive[1]] for k in range(11)]
