@@ -380,7 +380,7 @@ class OwnGoal(terms.FramePose):
         return (Target(frame=TRUNK, position=HIGH),)
 
 
-test_what_cannot_be_is_refused = refused_calls(
+test_terms_with_wrong_arguments_or_goals_are_refused = refused_calls(
     (
         lambda: terms.FrameHeight(frame=FOOT, hight=1.0, at=middle_of("stance")),
         r"^FrameHeight has no argument 'hight'; did you mean height\? allowed: ",

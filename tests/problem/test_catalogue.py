@@ -171,7 +171,7 @@ def test_what_a_solution_says_of_such_a_robot_is_not_looked_up() -> None:
         families()["arm-reach"].of_file(problem.parameters)
 
 
-test_what_cannot_be_is_refused = refused_calls(
+test_robots_and_values_that_do_not_fit_a_family_are_refused = refused_calls(
     (lambda: trajopt.load("arm-reach", robot=robots.load("go2")), "'go2' has no tool: it is not an arm"),
     (lambda: trajopt.load("solo12-jump", robot=robots.load("solo12")), "no parameter 'robot'"),
     (lambda: trajopt.load("arm-reach", robot=3), "parameter robot=3; allowed: a name"),

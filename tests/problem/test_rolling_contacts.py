@@ -284,7 +284,7 @@ def test_a_radius_is_a_length(radius):
         Contact(frame="toe", radius=radius)
 
 
-test_what_cannot_be_is_refused = refused_calls(
+test_contacts_that_cannot_roll_are_refused = refused_calls(
     (lambda: Contact(frame="toe", rolling=True), "contact 'toe' rolls and has no radius"),
     (lambda: hopper().with_rolling_contacts(), "no contact that could roll"),
     (

@@ -137,7 +137,7 @@ def test_step_up_moves_one_foot_after_the_other_onto_the_box(name):
         assert problem.terrain.height(place[0], place[1]) == pytest.approx(problem.parameters["height"])
 
 
-test_what_cannot_be_is_refused = refused_calls(
+test_walks_without_soles_and_steps_shorter_than_one_are_refused = refused_calls(
     (lambda: problems.load("biped-walk", robot="bolt"), "soles"),
     (lambda: problems.load("biped-step-up", robot="talos", forward=0.1), "more than a sole"),
 )

@@ -386,7 +386,7 @@ def test_leap_onto_a_high_box_holds_at_any_time(robot, height):
     assert solution.success, solution.statistics.advice
 
 
-test_what_cannot_be_is_refused = refused_calls(
+test_leaps_beyond_what_legs_can_do_are_refused = refused_calls(
     (lambda: problems.load("quadruped-box-up", robot="solo12", height=0.2, rise=0.1), "rise"),
     (lambda: problems.load("quadruped-stand-up", robot="go2", depth=0.3), "fold"),
 )

@@ -263,7 +263,7 @@ def test_contact_of_a_planar_robot_keeps_the_rows_of_its_plane():
     assert sole.within_plane(1).rows == (0, 2, 4)
 
 
-test_what_cannot_be_is_refused = refused_calls(
+test_unknown_robots_and_rows_beyond_a_contact_are_refused = refused_calls(
     (lambda: robots.load("solo13"), "solo12"),
     (lambda: Contact(frame="toe", rows=(3,)), r"contact 'toe' has rows \(3,\); some of \(0, 1, 2\)"),
 )

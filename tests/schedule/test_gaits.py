@@ -393,7 +393,7 @@ def test_a_phase_is_a_name(phase, allowed):
         start_of(phase)
 
 
-test_what_cannot_be_is_refused = refused_calls(
+test_swings_below_the_ground_and_moments_of_the_whole_motion_are_refused = refused_calls(
     (lambda: swing_arcs(_schedule(BIPED["run"]), ("left",), height=-0.1, terrain=FlatGround()), "allowed"),
     (lambda: Moment(fraction=0.5), "of the motion; allowed: 0 to 1 of a phase"),
 )

@@ -278,7 +278,7 @@ def test_frame_height_acts_at_one_node_of_its_phase(fraction):
         assert np.sum(rows.block == rows.names.index("frame_height")) == 1
 
 
-test_what_cannot_be_is_refused = refused_calls(
+test_impacts_and_sources_of_velocity_need_contacts = refused_calls(
     (
         lambda: Schedule(
             (Phase(name="down", duration=1.0, contacts=(FOOT,)), Phase(name="up", duration=1.0, impact=True))

@@ -213,7 +213,7 @@ def test_hopping_is_solved_for_other_commands(given):
     assert np.all(lengths <= 2.0 * nominal + SOLVED) if free else np.allclose(lengths, nominal)
 
 
-test_what_cannot_be_is_refused = refused_calls(
+test_hoppers_that_cannot_be_are_refused = refused_calls(
     (lambda: problems.load("hopper-hop", robot="solo12"), "hopper"),
     (lambda: problems.load("hopper-hop", robot="hopper_space", coordinates="minimal"), "minimal"),
     (lambda: problems.load("hopper-hop", goal="distance", coordinates="minimal"), "minimal"),

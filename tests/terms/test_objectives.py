@@ -296,7 +296,7 @@ def test_a_reference_of_another_robot_or_with_gaps_is_refused(reference):
         prepare(reach(terms=(TrackingCost(weight=1.0, reference=reference),)), intervals=6)
 
 
-test_what_cannot_be_is_refused = refused_calls(
+test_goals_without_a_mirror_or_phase_are_refused = refused_calls(
     (lambda: smallest(push_with_goals(raised=0.5), plane=True), "tracking_cost"),
     (lambda: with_terms(hop(), FrameHeightCost(weight=1.0, frame=FOOT, at=middle_of("flihgt"))), "flihgt"),
 )
