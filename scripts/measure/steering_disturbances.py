@@ -92,14 +92,9 @@ def rough(names: str, seeds: int, fixed: bool) -> None:
         for gait in ("walk", "trot"):
             speed = (0.2 if gait == "walk" else 0.3) * math.sqrt(gravity_of(robot.model) * robot.length)
             grounds = [slope_ahead(10.0), *(boxes_ahead(robot, 0.1, seed) for seed in range(seeds))]
+            script, duration = straight(gait, speed), START + 4.0 / speed
             runs = [
-                drive(
-                    robot,
-                    straight(gait, speed),
-                    duration=START + 4.0 / speed,
-                    ground=ground,
-                    settings=settings,
-                )
+                drive(robot, script, duration=duration, ground=ground, settings=settings)
                 for ground in grounds
             ]
             row(name, gait, *(f"{run.record.qpos[-1, 0]:.1f}{', fell' * run.report.fell}" for run in runs))

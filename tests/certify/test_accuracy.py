@@ -19,17 +19,16 @@ from tests.support.synthetic_motions import (
     standing,
     tumbling_flight,
 )
-from trajopt.certify.accuracy.measures import interval_errors, measure
+from trajopt import InputError, Robot, Solution
+from trajopt.certify import impact
+from trajopt.certify.accuracy import interval_errors, measure
 from trajopt.certify.accuracy.table import accuracy_table
-from trajopt.certify.contact.impact import impact
 from trajopt.certify.reintegration import active_contacts
-from trajopt.errors import InputError, SolutionFileError
+from trajopt.errors import SolutionFileError
 from trajopt.motion.description import CarriedBody, PlannedContact
 from trajopt.motion.quantities import MotionQuantities
-from trajopt.motion.solution import Solution
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.robot.payload import loaded_model
-from trajopt.robot.robot import Robot
 from trajopt.transcription.mesh import Mesh, PhaseMesh
 from trajopt_library import problems, robots
 

@@ -15,16 +15,14 @@ import pinocchio as pin
 import pytest
 
 from tests.support.repository import ROOT
+from trajopt import FlatGround, InputError, Robot
+from trajopt.collision import CollisionScene, inertia_capsules, robot_shapes
 from trajopt.collision.coal_shapes import coal_link
-from trajopt.collision.description import RobotShapes, inertia_capsules, robot_shapes, sampled_postures
+from trajopt.collision.description import RobotShapes, sampled_postures
 from trajopt.collision.hulls import MOST_EXCESS
-from trajopt.collision.near import CollisionScene
 from trajopt.collision.shapes import LinkShape
-from trajopt.errors import InputError
 from trajopt.inspection.report import robot_report
 from trajopt.robot.geometry import mesh_vertices
-from trajopt.robot.robot import Robot
-from trajopt.terrain import FlatGround
 from trajopt.view.replay.commands import Recorder
 from trajopt.view.replay.robot import draw_robot
 from trajopt_library import robots
