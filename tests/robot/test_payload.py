@@ -14,7 +14,7 @@ from tests.support.refusals import refused
 from tests.support.solved_problems import motion
 from trajopt.certify.report import AT_POINTS, RESIDUAL
 from trajopt.errors import InputError
-from trajopt.motion.carried import payload_wrenches
+from trajopt.motion.samples import payload_wrenches
 from trajopt.motion.solution import Solution
 from trajopt.problem.problem import Problem
 from trajopt.robot import Drive, Robot, Thruster, robot_file

@@ -10,16 +10,13 @@ import pinocchio as pin
 from trajopt.control.contact_forces import cross
 from trajopt.control.gains import TrackerGains
 from trajopt.control.measured_contacts import MeasuredContacts
-from trajopt.control.plan_targets import PlanTargets, base_frame, tracking_model
+from trajopt.control.plan_targets import PlanTargets
 from trajopt.control.reference import ReferenceTrajectory
 from trajopt.control.robot_state import RobotState
 from trajopt.control.support import LOWEST, Support, next_narrow, support_of, thin_axes
 from trajopt.control.swing_tasks import SwingTasks
 from trajopt.control.tasks import CenterOfMassTask, ContactForceTask, FrameTask, PostureTask, Task
-from trajopt.dynamics.base_joint import base_of
 from trajopt.motion.cycles import moving_rows
-from trajopt.motion.solution import Solution
-from trajopt.robot.natural_units import NaturalUnits
 
 # Factor on rotations of the base about lines on which the robot balances.
 TILT_PART = 0.03
@@ -29,24 +26,21 @@ class PlanTasks:
     """Tasks of all ticks of a plan.
 
     Args:
-        plan: the tracked plan; ``reference`` and ``targets`` are of its ticks.
+        reference: the tracked plan at the ticks.
+        targets: its targets.
         gains: gains of the feedback.
     """
 
-    def __init__(
-        self, plan: Solution, reference: ReferenceTrajectory, targets: PlanTargets, gains: TrackerGains
-    ) -> None:
+    def __init__(self, reference: ReferenceTrajectory, targets: PlanTargets, gains: TrackerGains) -> None:
         self._gains, self._reference, self._targets = gains, reference, targets
-        self._units = NaturalUnits.of(plan.model)
-        self._moving = base_of(plan.model) != "fixed"
-        self._base = base_frame(tracking_model(plan, 0)) if self._moving else 0
-        self._rows = plan.actuated_rows
-        self._unit = self._units.acceleration(plan.model)[self._rows]
-        self._walks = bool(plan.description.periodicity)
+        self._units, self._rows = reference.units, reference.actuated_rows
+        self._moving = reference.base != "fixed"
+        self._unit = self._units.acceleration(reference.model)[self._rows]
+        self._walks = bool(reference.description.periodicity)
         self._stands = np.asarray(reference.active.any(axis=0))
-        self._legs = _determined_joints(plan, self._stands)
-        self._balance = Balance(plan, reference, targets, gains)
-        self._swings = SwingTasks(plan, reference, targets, gains)
+        self._legs = _determined_joints(reference, self._stands)
+        self._balance = Balance(reference, targets, gains)
+        self._swings = SwingTasks(reference, targets, gains)
 
     def copy(self) -> PlanTasks:
         """An independent copy of the tasks."""
@@ -100,7 +94,7 @@ class PlanTasks:
         units, targets = self._units, self._targets
         return FrameTask(
             weight=self._gains.base_weight,
-            frame=self._base,
+            frame=targets.base,
             pose=pin.SE3(targets.base_rotation[k], np.zeros(3)),
             velocity=targets.base_velocity[k],
             acceleration=targets.base_acceleration[k],
@@ -127,7 +121,7 @@ class PlanTasks:
         return np.where(swinging, gains.leg_weight, gains.joint_weight)
 
 
-def _determined_joints(plan: Solution, stands: np.ndarray) -> np.ndarray:
+def _determined_joints(plan: ReferenceTrajectory, stands: np.ndarray) -> np.ndarray:
     """Mask (nc, actuated joints) of the joints that move a foot, if its pose determines all of them."""
     actuated = plan.actuated_rows
     determined = np.zeros((len(stands), len(actuated)), dtype=bool)
@@ -155,22 +149,19 @@ class Balance:
     """Supports at the ticks of a plan, and the centre of mass over them.
 
     Args:
-        plan: the tracked plan.
-        reference: the plan at the ticks.
-        targets: targets of the plan at the ticks.
+        reference: the tracked plan at the ticks.
+        targets: its targets.
         gains: gains of the feedback.
 
     ``wide`` (n,) tells whether the planned contacts hold the body in all directions: by a sole, a held
     contact, or points that are not on a line. ``lasts`` (n,): whether the robot balances on narrow ones.
     """
 
-    def __init__(
-        self, plan: Solution, reference: ReferenceTrajectory, targets: PlanTargets, gains: TrackerGains
-    ) -> None:
-        self._units, self._gains, self._targets = NaturalUnits.of(plan.model), gains, targets
-        self._frames = [plan.model.getFrameId(name) for name in plan.contact_frames]
-        self._walks = bool(plan.description.periodicity)
-        self.wide = np.array([self._is_wide(plan, row, k) for k, row in enumerate(reference.active)])
+    def __init__(self, reference: ReferenceTrajectory, targets: PlanTargets, gains: TrackerGains) -> None:
+        self._units, self._gains, self._targets = reference.units, gains, targets
+        self._frames, self._soles = reference.contact_ids, reference.description.soles
+        self._walks = bool(reference.description.periodicity)
+        self.wide = np.array([self._is_wide(row, k) for k, row in enumerate(reference.active)])
         self.lasts = self._lasting(reference)
         # In gaits feet land where they catch the centre of mass instead.
         self._next = next_narrow(reference.active, self.wide) & (not self._walks)
@@ -231,9 +222,9 @@ class Balance:
             unit=units.gravity,
         )
 
-    def _is_wide(self, plan: Solution, active: np.ndarray, k: int) -> bool:
+    def _is_wide(self, active: np.ndarray, k: int) -> bool:
         picked = np.flatnonzero(active)
-        if plan.description.soles[picked].any() or self._targets.surfaces.bilateral[k, picked].any():
+        if self._soles[picked].any() or self._targets.surfaces.bilateral[k, picked].any():
             return True
         return len(picked) > 2 and not len(
             thin_axes(self._targets.position[k, picked], THIN * self._units.length)

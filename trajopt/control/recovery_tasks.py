@@ -4,13 +4,11 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.control.gains import TrackerGains
-from trajopt.control.plan_targets import PlanTargets, base_frame, tracking_model
+from trajopt.control.plan_targets import PlanTargets
 from trajopt.control.recovery import RecoveryStep
 from trajopt.control.reference import ReferenceTrajectory
 from trajopt.control.robot_state import RobotState
 from trajopt.control.tasks import CenterOfMassTask, ContactForceTask, FrameTask, PostureTask, Task
-from trajopt.motion.solution import Solution
-from trajopt.robot.natural_units import NaturalUnits
 
 # Factor on the weight of joints during recovery, when feet are far from the planned posture.
 RECOVERING = 0.1
@@ -20,19 +18,16 @@ class RecoveryTasks:
     """Tasks of all ticks during recovery.
 
     Args:
-        plan: the tracked plan; ``reference`` and ``targets`` are of its ticks.
+        reference: the tracked plan at the ticks.
+        targets: its targets.
         gains: gains of the feedback.
     """
 
-    def __init__(
-        self, plan: Solution, reference: ReferenceTrajectory, targets: PlanTargets, gains: TrackerGains
-    ) -> None:
+    def __init__(self, reference: ReferenceTrajectory, targets: PlanTargets, gains: TrackerGains) -> None:
         self._gains, self._reference, self._targets = gains, reference, targets
-        self._units = NaturalUnits.of(plan.model)
-        self._frames = [plan.model.getFrameId(name) for name in plan.contact_frames]
-        self._base = base_frame(tracking_model(plan, 0))
-        self._rows = plan.actuated_rows
-        self._unit = self._units.acceleration(plan.model)[self._rows]
+        self._units, self._frames = reference.units, reference.contact_ids
+        self._rows = reference.actuated_rows
+        self._unit = self._units.acceleration(reference.model)[self._rows]
 
     def of(self, k: int, step: RecoveryStep, state: RobotState) -> list[Task]:
         """Tasks of tick ``k``; in flight only those of joints and feet."""
@@ -87,7 +82,7 @@ class RecoveryTasks:
             ),
             FrameTask(
                 weight=gains.base_weight,
-                frame=self._base,
+                frame=targets.base,
                 pose=pin.SE3(targets.base_rotation[k], np.zeros(3)),
                 velocity=targets.base_velocity[k],
                 acceleration=targets.base_acceleration[k],

@@ -15,8 +15,7 @@ from trajopt.control.reference import ReferenceTrajectory
 from trajopt.control.robot_state import RobotState
 from trajopt.control.support import Support
 from trajopt.control.tasks import FrameTask
-from trajopt.motion.solution import Solution
-from trajopt.robot.natural_units import NaturalUnits
+from trajopt.motion.description import PlanDescription
 from trajopt.terrain.surface import UP, Surface
 
 # Rate of the pendulum after a flight, times sqrt(l / g): legs half as long as the reach.
@@ -29,22 +28,20 @@ class SwingTasks:
     """Tasks of contacts in the air, with the offsets of feet from the plan as state.
 
     Args:
-        plan: the tracked plan; ``reference`` and ``targets`` are of its ticks.
+        reference: the tracked plan at the ticks.
+        targets: its targets.
         gains: gains of the feedback.
     """
 
-    def __init__(
-        self, plan: Solution, reference: ReferenceTrajectory, targets: PlanTargets, gains: TrackerGains
-    ) -> None:
-        self._units, self._gains = NaturalUnits.of(plan.model), gains
-        self._targets, self._period = targets, reference.period
-        self._frames = [plan.model.getFrameId(name) for name in plan.contact_frames]
-        self._soles = plan.description.soles
-        self._level = level_footholds(plan, targets)
+    def __init__(self, reference: ReferenceTrajectory, targets: PlanTargets, gains: TrackerGains) -> None:
+        self._units, self._gains, self._targets = reference.units, gains, targets
+        self._period, self._frames = reference.period, reference.contact_ids
+        self._soles = reference.description.soles
+        self._level = level_footholds(reference.description, targets)
         period, length, time = reference.period, self._units.length, self._units.time
         self._offsets = FootholdOffsets(len(self._frames), period=period, length=length, time=time)
         self._steady = SteadyError(rate=gains.steady / time, period=period, length=length, time=time)
-        self._walks = bool(plan.description.periodicity)
+        self._walks = bool(reference.description.periodicity)
 
     def copy(self) -> SwingTasks:
         """An independent copy of the tasks."""
@@ -99,8 +96,8 @@ class SwingTasks:
         return position - self._targets.com[k, 0], velocity - self._targets.com[k, 1]
 
 
-def level_footholds(plan: Solution, targets: PlanTargets) -> np.ndarray:
+def level_footholds(about: PlanDescription, targets: PlanTargets) -> np.ndarray:
     """Mask (n, nc) of feet that may land beside their footholds: those on level ground without edges."""
-    smooth = not plan.description.surfaces and isinstance(plan.description.ground, Surface)
+    smooth = not about.surfaces and isinstance(about.ground, Surface)
     level = np.abs(targets.surfaces.normal - UP).max(axis=2) < LEVEL
     return np.asarray(level & smooth)

@@ -13,7 +13,6 @@ from trajopt.dynamics.base_joint import Base, base_of, position_limits
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
 from trajopt.dynamics.virtual_base import gimbal_margin_along
 from trajopt.motion.body_distances import FileBodies, missing_shapes
-from trajopt.motion.carried import carrying_model
 from trajopt.motion.cycles import periodicity_error
 from trajopt.motion.interpolation import (
     InterpolatedMotion,
@@ -117,7 +116,7 @@ class MotionQuantities:
     def models(self) -> dict[int, pin.Model]:
         """The model with everything that is carried, by phase."""
         plan = self.solution
-        return {phase: carrying_model(plan, phase) for phase in np.unique(plan.phase).tolist()}
+        return {phase: plan.carrying_model(phase) for phase in np.unique(plan.phase).tolist()}
 
     @cached_property
     def masses(self) -> dict[int, float]:
@@ -137,7 +136,7 @@ class MotionQuantities:
     @cached_property
     def surfaces(self) -> TouchedSurfaces:
         """The surfaces that contacts touch."""
-        return touched_surfaces(self.solution, self.places.position)
+        return touched_surfaces(self.solution.description, self.places.position, self.solution.phase)
 
     @cached_property
     def rolled_paths(self) -> RolledPaths | None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -196,7 +196,6 @@ class PushTrials:
     begin, end: period of the push, and one past the last period that is simulated.
     """
 
-    plan: Solution
     reference: ReferenceTrajectory
     scene: Scene
     cycles: int
@@ -226,7 +225,7 @@ class PushTrials:
                 f"allowed: 0 to {last * reference.period:g} s",
             )
         end = min(len(reference.t), begin + math.ceil(follows / reference.period))
-        return cls(plan=plan, reference=reference, scene=scene, cycles=cycles, begin=begin, end=end)
+        return cls(reference=reference, scene=scene, cycles=cycles, begin=begin, end=end)
 
     @property
     def unit(self) -> float:
@@ -250,7 +249,7 @@ class PushTrials:
         Raises `InputError` if the base's forward axis is vertical then.
         """
         settings = SimulationSettings(controller=controller, cycles=self.cycles)
-        run = plan_run(self.plan, self.scene, self.reference, settings)
+        run = plan_run(self.scene, self.reference, settings)
         record = run.start()
         standing = run.advance(record, 0, self.begin) == self.begin
         if standing and float(np.linalg.norm(run.events.forward(run.data))) < LEAST_LEVEL:
@@ -279,11 +278,7 @@ class PushTrials:
 
         return survives
 
-    @cached_property
-    def _test(self) -> FallTest:
-        return FallTest.of_plan(self.scene, self.plan)
-
     def _falls(self, record: SimulationRecord, first: int, last: int) -> bool:
         """Whether the robot falls in the periods from ``first`` to before ``last``."""
         rows = slice(first, last)
-        return self._test.first(record, self.reference, rows, self.reference.q[rows]) is not None
+        return FallTest(self.scene).first(record, self.reference, rows, self.reference.q[rows]) is not None
