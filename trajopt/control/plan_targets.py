@@ -9,6 +9,10 @@ import pinocchio as pin
 from trajopt.control.reference import ReferenceTrajectory
 from trajopt.dynamics.base_joint import BASE_JOINT
 from trajopt.motion.touched import TouchedSurfaces, touched_surfaces
+from trajopt.terrain.surface import UP, Surface
+
+# Largest deviation of a level surface's normal from the vertical: feet may land elsewhere on it.
+LEVEL = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,6 +24,7 @@ class PlanTargets:
     (n, nc, 3, 3), ``velocity`` and ``acceleration`` (n, nc, 6); the base joint's frame has ``base_rotation``
     (n, 3, 3), ``base_velocity`` and ``base_acceleration`` (n, 6). ``surfaces`` are under the contacts.
     ``base`` is the index of the base joint's frame, 0 for a fixed base.
+    ``level`` (n, nc) tells whether a foot may land beside its foothold: on level ground without edges.
     ``next_stance``, ``last_stance`` (n, nc) are ticks until a contact in the air stands and since it stood.
     """
 
@@ -34,6 +39,7 @@ class PlanTargets:
     base_acceleration: np.ndarray
     base: int
     surfaces: TouchedSurfaces
+    level: np.ndarray
     next_stance: np.ndarray
     last_stance: np.ndarray
 
@@ -79,6 +85,9 @@ def plan_targets(reference: ReferenceTrajectory, models: Sequence[pin.Model]) ->
             turned[k] = state_data.oMf[base].rotation
             rate[k] = pin.getFrameVelocity(model, state_data, base, axes).vector
             change[k] = pin.getFrameClassicalAcceleration(model, state_data, base, axes).vector
+    about = reference.description
+    surfaces = touched_surfaces(about, position, reference.source)
+    smooth = not about.surfaces and isinstance(about.ground, Surface)
     return PlanTargets(
         com=com,
         momentum=momentum,
@@ -90,7 +99,8 @@ def plan_targets(reference: ReferenceTrajectory, models: Sequence[pin.Model]) ->
         base_velocity=rate,
         base_acceleration=change,
         base=base,
-        surfaces=touched_surfaces(reference.description, position, reference.source),
+        surfaces=surfaces,
+        level=(np.abs(surfaces.normal - UP).max(axis=2) < LEVEL) & smooth,
         next_stance=_until(reference.active),
         last_stance=_until(reference.active[::-1])[::-1],
     )

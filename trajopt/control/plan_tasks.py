@@ -1,4 +1,4 @@
-"""Tasks of a tick that follows the plan: joints, forces, balance, base and contacts in the air."""
+"""Tasks of a tick, of the plan or of recovery: joints, forces, balance, base and contacts in the air."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from trajopt.control.contact_forces import cross
 from trajopt.control.gains import TrackerGains
 from trajopt.control.measured_contacts import MeasuredContacts
 from trajopt.control.plan_targets import PlanTargets
+from trajopt.control.recovery import RecoveryStep
 from trajopt.control.reference import ReferenceTrajectory
 from trajopt.control.robot_state import RobotState
 from trajopt.control.support import LOWEST, Support, next_narrow, support_of, thin_axes
@@ -20,6 +21,8 @@ from trajopt.motion.cycles import moving_rows
 
 # Factor on rotations of the base about lines on which the robot balances.
 TILT_PART = 0.03
+# Factor on the weight of joints during recovery, when feet are far from the planned posture.
+RECOVERING = 0.1
 
 
 class PlanTasks:
@@ -54,20 +57,14 @@ class PlanTasks:
 
     def of(self, k: int, active: np.ndarray, contacts: MeasuredContacts, state: RobotState) -> list[Task]:
         """Tasks of tick ``k`` with the ``active`` contacts (nc,)."""
-        units, reference = self._units, self._reference
+        reference = self._reference
         planned = reference.active[k]
         flying = not (planned.any() and active.any())
         support = self._balance.support(k, active | planned, state) if self._moving and not flying else None
         tilting = support.lines if support and self._balance.lasts[k] else np.zeros((0, 3))
         tasks: list[Task] = [self._posture(k, self._joint_weights(active, flying, bool(len(tilting))))]
         if active.any():
-            tasks.append(
-                ContactForceTask(
-                    weight=self._gains.force_weight,
-                    wanted=reference.f[k],
-                    units=(units.weight, units.weight * units.length),
-                )
-            )
+            tasks.append(self._forces(reference.f[k]))
         if not self._moving:
             return tasks
         if support:
@@ -77,9 +74,43 @@ class PlanTasks:
             for i in np.flatnonzero(self._stands & ~active)
         ]
 
-    def _posture(self, k: int, weights: np.ndarray) -> PostureTask:
+    def of_recovery(self, k: int, step: RecoveryStep, state: RobotState) -> list[Task]:
+        """Tasks of tick ``k`` of recovery, in which feet share the weight; in flight of joints and feet."""
+        gains, units = self._gains, self._units
+        tasks: list[Task] = [self._posture(k, np.ones(len(self._rows)), RECOVERING * gains.joint_weight)]
+        if step.active.any():
+            position, velocity = state.centre_of_mass()[:2]
+            forces = np.zeros_like(self._reference.f[k])
+            forces[step.active, 2] = units.weight / step.active.sum()
+            centre = CenterOfMassTask(
+                weight=gains.com_weight,
+                position=position,
+                velocity=velocity,
+                acceleration=step.acceleration,
+                bandwidth=0.0,
+                unit=units.gravity,
+            )
+            tasks += [self._forces(forces), centre, self._orientation(k, np.zeros((0, 3)))]
+        return tasks + [
+            self._swings.task(
+                i,
+                pin.SE3(self._targets.rotation[k, i], path.position),
+                np.append(path.velocity, np.zeros(3)),
+                np.append(path.acceleration, np.zeros(3)),
+            )
+            for i, path in step.paths.items()
+        ]
+
+    def _forces(self, wanted: np.ndarray) -> ContactForceTask:
+        units = self._units
+        return ContactForceTask(
+            weight=self._gains.force_weight, wanted=wanted, units=(units.weight, units.weight * units.length)
+        )
+
+    def _posture(self, k: int, weights: np.ndarray, weight: float = 1.0) -> PostureTask:
         reference = self._reference
         return PostureTask(
+            weight=weight,
             q=reference.q[k],
             v=reference.v[k],
             a=reference.a[k],

@@ -22,7 +22,6 @@ from trajopt.control.plan_targets import PlanTargets
 from trajopt.control.reference import ReferenceTrajectory
 from trajopt.control.robot_state import RobotState
 from trajopt.control.support import LOWEST
-from trajopt.control.swing_tasks import level_footholds
 from trajopt.dynamics.base_joint import position_limits
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.terrain.surface import UP
@@ -298,13 +297,7 @@ def _feet_of(
     points = all(not about.contacts[i].is_sole for i in feet)
     rests = reference.held and not about.periodicity
     held = targets.surfaces.bilateral[-1, feet].any() or targets.surfaces.slides[-1, feet].any()
-    if (
-        len(feet) != 4
-        or not points
-        or not rests
-        or held
-        or not level_footholds(about, targets)[-1, feet].all()
-    ):
+    if len(feet) != 4 or not points or not rests or held or not targets.level[-1, feet].all():
         return [], ()
     return feet.tolist(), diagonal_pairs(feet, targets.position[-1, feet])
 

@@ -17,7 +17,6 @@ from trajopt.control.plan_targets import PlanTargets, plan_targets, tracking_mod
 from trajopt.control.plan_tasks import PlanTasks
 from trajopt.control.quadratic_programs import QpSolverName
 from trajopt.control.recovery import Recovery
-from trajopt.control.recovery_tasks import RecoveryTasks
 from trajopt.control.reference import ReferenceTrajectory, reference_of
 from trajopt.control.robot_state import RobotState
 from trajopt.control.tick_request import TickCounts, TickRequest
@@ -99,7 +98,6 @@ class Tracker:
         self._contacts = MeasuredContacts(reference, self.targets)
         self._tasks = PlanTasks(reference, self.targets, gains)
         self._recovery = Recovery(reference, self.targets)
-        self._recovery_tasks = RecoveryTasks(reference, self.targets, gains) if self._recovery.steps else None
 
     def copy(self) -> Tracker:
         """An independent copy of the tracker, which shares the counts of ticks."""
@@ -140,10 +138,10 @@ class Tracker:
         active = self._contacts.active(k, contacts) if step is None else step.active
         self._tasks.stand(k, active, state)
         taken = [self._contacts.of(int(i), k) for i in np.flatnonzero(active)]
-        if step is None or self._recovery_tasks is None:
+        if step is None:
             tasks = self._tasks.of(k, active, self._contacts, state)
         else:
-            tasks = self._recovery_tasks.of(k, step, state)
+            tasks = self._tasks.of_recovery(k, step, state)
         result = program.solve(taken, tasks, self._limits.at(q, v))
         self.request = TickRequest.of(result.forces, taken, tasks, self.targets.com[k, 0], frames)
         self.counts.relaxed[result.relaxed] += 1
