@@ -77,15 +77,12 @@ class ExportedMotion(SampledMotion):
     Args:
         plan: the solution.
         rate: samples per second, Hz.
+        joints: the joints other than a moving base.
     """
 
     plan: Solution
     rate: float
-
-    @cached_property
-    def joints(self) -> JointMotion:
-        """The joints other than a moving base. Raises `InputError`."""
-        return JointMotion.of(self)
+    joints: JointMotion
 
     @cached_property
     def links(self) -> LinkMotion:
@@ -119,9 +116,7 @@ def sample_cycles(
     number = np.clip(np.floor((times + slack) / (end - start)).astype(int), 0, passes - 1)
     samples = plan.sample(times=np.clip(start + times - number * (end - start), start, end))
     moved = replace(in_passes(plan, samples, number), t=times)
-    motion = ExportedMotion(**vars(moved), plan=plan, rate=float(rate))
-    motion.joints  # noqa: B018  # refuses joints with several degrees of freedom
-    return motion
+    return ExportedMotion(**vars(moved), plan=plan, rate=float(rate), joints=JointMotion.of(moved))
 
 
 def _even_times(duration: float, rate: float) -> np.ndarray:
