@@ -17,8 +17,8 @@ from trajopt.certify.accuracy.comparison import compare
 from trajopt.certify.accuracy.measures import measure
 from trajopt.certify.accuracy.named_points import NamedPoints
 from trajopt.errors import InputError
+from trajopt.motion.configurations import sample_interval
 from trajopt.motion.local_states import local_state, state_from_local
-from trajopt.motion.resampling import sample_interval
 from trajopt.motion.solution import Solution
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt_library import robots

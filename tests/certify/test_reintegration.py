@@ -22,8 +22,8 @@ from trajopt.certify.contact_figures import force_traces
 from trajopt.certify.reintegration import open_loop
 from trajopt.certify.report import Tolerances
 from trajopt.certify.runge_kutta import METHOD, integrate
+from trajopt.motion.configurations import resampled
 from trajopt.motion.quantities import MotionQuantities
-from trajopt.motion.resampling import resampled
 from trajopt.motion.solution import Solution
 from trajopt.solving.graded import solve
 from trajopt_library import problems, robots

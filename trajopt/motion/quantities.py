@@ -9,10 +9,11 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 
-from trajopt.dynamics.base_joint import Base, base_of, position_limits
+from trajopt.dynamics.base_joint import Base, position_limits
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
 from trajopt.dynamics.virtual_base import gimbal_margin_along
 from trajopt.motion.body_distances import FileBodies, missing_shapes
+from trajopt.motion.configurations import samples_at
 from trajopt.motion.cycles import periodicity_error
 from trajopt.motion.interpolation import (
     InterpolatedMotion,
@@ -20,7 +21,6 @@ from trajopt.motion.interpolation import (
     lagrange_coefficients,
 )
 from trajopt.motion.local_states import local_state
-from trajopt.motion.resampling import samples_at
 from trajopt.motion.samples import (
     ContactPlaces,
     SampleQuantities,
@@ -85,7 +85,7 @@ class MotionQuantities:
     @cached_property
     def base(self) -> Base:
         """Kind of the model's base."""
-        return base_of(self.solution.model)
+        return self.solution.base
 
     @cached_property
     def gravity(self) -> float:
@@ -105,7 +105,7 @@ class MotionQuantities:
     @cached_property
     def units(self) -> NaturalUnits:
         """Natural units of the robot."""
-        return NaturalUnits.of(self.solution.model)
+        return self.solution.units
 
     @cached_property
     def turning_rows(self) -> np.ndarray:

@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike
 from trajopt.arguments import checked
 from trajopt.errors import InputError, expanded
 from trajopt.motion import file
-from trajopt.motion.arrays import OTHERS, SAMPLED, read_only, runs
-from trajopt.motion.consistency import wrong_number
+from trajopt.motion.consistency import OTHERS, SAMPLED, read_only, runs, wrong_number
 from trajopt.motion.interpolation import InterpolatedMotion
 from trajopt.motion.robot_motion import BaseAxes, QuaternionOrder, RobotMotion, require_convention
 from trajopt.motion.sampled_motion import (

@@ -148,8 +148,7 @@ def replay_motions(solutions: Sequence[Solution], speed: float = 1.0) -> list[Re
 
 def _resampled(solution: Solution, t: np.ndarray, frame_rate: float, speed: float) -> ReplayMotion:
     q = geodesic_configurations(solution, t)
-    frames = [solution.model.getFrameId(name) for name in solution.contact_frames]
-    joints, contacts = placements(solution.model, frames, q)
+    joints, contacts = placements(solution.model, solution.contact_ids, q)
     last, part = spans(solution.t, t)
     surfaces = touched_surfaces(solution.description, contacts[:, :, :3, 3], solution.phase[last])
     contacts[:, :, :3, 3] = surfaces.touching(contacts[:, :, :3, 3])
