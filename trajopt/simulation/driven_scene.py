@@ -18,12 +18,11 @@ from trajopt.robot.contact import Contact
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.mujoco_package import muted_mujoco
 from trajopt.robot.robot import Robot
-from trajopt.simulation.controllers import TorqueController
 from trajopt.simulation.figures import Fall, FallTest
 from trajopt.simulation.record import SimulationRecord
 from trajopt.simulation.run import SimulationRun, Start
 from trajopt.simulation.scene import Scene, build_scene
-from trajopt.simulation.settings import SimulationSettings
+from trajopt.simulation.settings import SimulationSettings, TorqueController
 from trajopt.simulation.simulate import require_fitting, require_within
 from trajopt.simulation.site import SceneRobot, Site
 from trajopt.solving.extraction import described

@@ -18,7 +18,6 @@ import numpy as np
 
 from trajopt.arguments import NonNegative, Positive, PositiveCount, checked
 from trajopt.control.reference import ReferenceTrajectory, reference_of
-from trajopt.dynamics.base_joint import base_of
 from trajopt.errors import InputError
 from trajopt.motion.input import SolutionOrFile, require_motion, solution_of
 from trajopt.motion.meta import jsonable
@@ -136,7 +135,7 @@ def largest_pushes(
             is vertical, other than two directions in a plane, or a plan that cannot be simulated.
     """
     plan = require_motion(solution_of(solution))
-    kind, wanted = base_of(plan.model), tuple(dict.fromkeys(controllers))
+    kind, wanted = plan.base, tuple(dict.fromkeys(controllers))
     if kind == "fixed":
         raise InputError("a push on the base, which is fixed", "allowed: robots with a moving base")
     if not wanted:

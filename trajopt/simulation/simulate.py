@@ -19,13 +19,12 @@ from trajopt.motion.input import SolutionOrFile, require_motion, solution_of
 from trajopt.motion.solution import Solution
 from trajopt.robot.mujoco_package import muted_mujoco
 from trajopt.simulation import figures
-from trajopt.simulation.controllers import GivenController, TorqueController
 from trajopt.simulation.joint_feedback import JointFeedback
 from trajopt.simulation.record import SimulationRecord
 from trajopt.simulation.report import ContactReport, SimulationReport, TickReport
 from trajopt.simulation.run import SimulationRun, Start
 from trajopt.simulation.scene import Scene, build_scene
-from trajopt.simulation.settings import FEEDBACK_TIME, SimulationSettings
+from trajopt.simulation.settings import FEEDBACK_TIME, GivenController, SimulationSettings, TorqueController
 from trajopt.simulation.simulated import simulated_solution
 from trajopt.simulation.site import Site
 
