@@ -86,6 +86,7 @@ def plan_targets(reference: ReferenceTrajectory, models: Sequence[pin.Model]) ->
             rate[k] = pin.getFrameVelocity(model, state_data, base, axes).vector
             change[k] = pin.getFrameClassicalAcceleration(model, state_data, base, axes).vector
     about = reference.description
+    next_stance, last_stance = _until(reference.active), _until(reference.active[::-1])[::-1]
     surfaces = touched_surfaces(about, position, reference.source)
     smooth = not about.surfaces and isinstance(about.ground, Surface)
     return PlanTargets(
@@ -101,8 +102,8 @@ def plan_targets(reference: ReferenceTrajectory, models: Sequence[pin.Model]) ->
         base=base,
         surfaces=surfaces,
         level=(np.abs(surfaces.normal - UP).max(axis=2) < LEVEL) & smooth,
-        next_stance=_until(reference.active),
-        last_stance=_until(reference.active[::-1])[::-1],
+        next_stance=next_stance,
+        last_stance=last_stance,
     )
 
 
