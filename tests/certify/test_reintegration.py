@@ -26,9 +26,9 @@ from trajopt.certify.contact_figures import force_traces
 from trajopt.certify.reintegration import open_loop
 from trajopt.certify.report import Tolerances
 from trajopt.certify.runge_kutta import METHOD, integrate
+from trajopt.motion.configurations import resampled, sample_interval
 from trajopt.motion.local_states import local_state, state_from_local
 from trajopt.motion.quantities import MotionQuantities
-from trajopt.motion.resampling import resampled, sample_interval
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt_library import problems, robots
 

@@ -28,7 +28,7 @@ from trajopt import InputError, Problem, Solution, TrajoptError, check
 from trajopt.certify.report import AT_POINTS, CheckReport
 from trajopt.cli.report import solve_dict, solve_summary, to_json
 from trajopt.errors import SolutionFileError
-from trajopt.motion.arrays import OTHERS, SAMPLED
+from trajopt.motion.consistency import OTHERS, SAMPLED
 from trajopt.solvers.status import Status
 from trajopt.solving.solving import solve
 

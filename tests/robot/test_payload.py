@@ -17,7 +17,7 @@ from tests.support.solved_problems import motion
 from trajopt import Contact, FlatGround, InputError, Phase, Problem, Robot, Schedule, Solution, terms
 from trajopt.certify.report import AT_POINTS, RESIDUAL
 from trajopt.errors import UnsupportedJointError
-from trajopt.motion.carried import payload_wrenches
+from trajopt.motion.samples import payload_wrenches
 from trajopt.robot import (
     Drive,
     JointForce,

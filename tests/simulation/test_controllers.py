@@ -11,7 +11,7 @@ import trajopt
 from trajopt import Solution
 from trajopt.control import Tracker, TrackerGains
 from trajopt.errors import InputError
-from trajopt.simulation.controllers import TorqueController
+from trajopt.simulation.settings import TorqueController
 from trajopt.simulation.simulate import simulate
 
 pytestmark = pytest.mark.long

@@ -18,12 +18,11 @@ from trajopt.robot.contact import Contact
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.mujoco_package import muted_mujoco
 from trajopt.robot.robot import Robot
-from trajopt.simulation.controllers import TorqueController
-from trajopt.simulation.figures import Fall, FallTest, mean_height
+from trajopt.simulation.figures import Fall, FallTest
 from trajopt.simulation.record import SimulationRecord
 from trajopt.simulation.run import SimulationRun, Start
 from trajopt.simulation.scene import Scene, build_scene
-from trajopt.simulation.settings import SimulationSettings
+from trajopt.simulation.settings import SimulationSettings, TorqueController
 from trajopt.simulation.simulate import require_fitting, require_within
 from trajopt.simulation.site import SceneRobot, Site
 from trajopt.solving.extraction import described
@@ -84,8 +83,7 @@ class DrivenScene:
             site = Site.at_rest(simulated, q, np.flatnonzero(standing).tolist())
             self.scene: Scene = build_scene(site, settings)
         self._start = Start(q=q, v=np.zeros(robot.nv), torque=_torque_at_rest(robot, stands))
-        over = mean_height(robot.model, q[None], feet[None], standing[None]) if stands else 0.0
-        self._test = FallTest(scene=self.scene, height=over)
+        self._test = FallTest(self.scene)
 
     def begin(self, controller: TorqueController, height: Callable[[float], float] | None = None) -> None:
         """Put the robot back into its start.

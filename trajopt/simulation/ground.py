@@ -13,7 +13,7 @@ import numpy as np
 
 from trajopt.collision.shapes import BoxObstacle, LinkShape, Obstacle
 from trajopt.robot.mujoco_package import mujoco_package
-from trajopt.simulation.bodies import Bodies, add_geom, body_name, mujoco_quaternion
+from trajopt.simulation.bodies import Bodies, body_name, mujoco_quaternion
 from trajopt.simulation.settings import SimulationSettings
 from trajopt.simulation.site import BALL, Board, Site
 from trajopt.terrain.bodies import extruded
@@ -95,6 +95,13 @@ def surroundings_of(site: Site, settings: SimulationSettings) -> Surroundings:
         rolling=about.rolling if settings.rolling is None else settings.rolling & (about.radii > 0),
         offsets=np.array([settings.ground_offsets.get(name, 0.0) for name in about.frames]),
     )
+
+
+def add_geom(body: Any, name: str, kind: str, **fields: Any) -> str:
+    """Add a geom of a ``kind`` ("sphere", "box", ...) that collides only in named pairs; returns its name."""
+    shape = getattr(mujoco_package().mjtGeom, f"mjGEOM_{kind.upper()}")
+    body.add_geom(name=name, type=shape, contype=0, conaffinity=0, **fields)
+    return name
 
 
 def add_ground(spec: Any, place: Surroundings) -> GroundGeometry:

@@ -25,11 +25,12 @@ from trajopt.robot.robot import Robot
 from trajopt.schedule.gaits import gait_names
 from trajopt.simulation.drive_report import DriveReport, command_errors, plan_figures
 from trajopt.simulation.driven_scene import DrivenScene
-from trajopt.simulation.figures import Fall, base_poses
+from trajopt.simulation.figures import Fall
 from trajopt.simulation.record import SimulationRecord
 from trajopt.simulation.scene import Scene
 from trajopt.simulation.settings import Impulse, SimulationSettings
 from trajopt.simulation.simulated import simulated_solution
+from trajopt.simulation.site import base_poses
 from trajopt.terrain.piecewise import PiecewiseTerrain
 
 # Time that a drive lasts after its last command, s.

@@ -11,14 +11,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from trajopt.arguments import NonNegative, Positive, PositiveCount, checked
 from trajopt.control.reference import ReferenceTrajectory, reference_of
-from trajopt.dynamics.base_joint import base_of
 from trajopt.errors import InputError
 from trajopt.motion.input import SolutionOrFile, require_motion, solution_of
 from trajopt.motion.meta import jsonable
@@ -136,7 +135,7 @@ def largest_pushes(
             is vertical, other than two directions in a plane, or a plan that cannot be simulated.
     """
     plan = require_motion(solution_of(solution))
-    kind, wanted = base_of(plan.model), tuple(dict.fromkeys(controllers))
+    kind, wanted = plan.base, tuple(dict.fromkeys(controllers))
     if kind == "fixed":
         raise InputError("a push on the base, which is fixed", "allowed: robots with a moving base")
     if not wanted:
@@ -196,7 +195,6 @@ class PushTrials:
     begin, end: period of the push, and one past the last period that is simulated.
     """
 
-    plan: Solution
     reference: ReferenceTrajectory
     scene: Scene
     cycles: int
@@ -226,7 +224,7 @@ class PushTrials:
                 f"allowed: 0 to {last * reference.period:g} s",
             )
         end = min(len(reference.t), begin + math.ceil(follows / reference.period))
-        return cls(plan=plan, reference=reference, scene=scene, cycles=cycles, begin=begin, end=end)
+        return cls(reference=reference, scene=scene, cycles=cycles, begin=begin, end=end)
 
     @property
     def unit(self) -> float:
@@ -250,7 +248,7 @@ class PushTrials:
         Raises `InputError` if the base's forward axis is vertical then.
         """
         settings = SimulationSettings(controller=controller, cycles=self.cycles)
-        run = plan_run(self.plan, self.scene, self.reference, settings)
+        run = plan_run(self.scene, self.reference, settings)
         record = run.start()
         standing = run.advance(record, 0, self.begin) == self.begin
         if standing and float(np.linalg.norm(run.events.forward(run.data))) < LEAST_LEVEL:
@@ -279,11 +277,7 @@ class PushTrials:
 
         return survives
 
-    @cached_property
-    def _test(self) -> FallTest:
-        return FallTest.of_plan(self.scene, self.plan)
-
     def _falls(self, record: SimulationRecord, first: int, last: int) -> bool:
         """Whether the robot falls in the periods from ``first`` to before ``last``."""
         rows = slice(first, last)
-        return self._test.first(record, self.reference, rows, self.reference.q[rows]) is not None
+        return FallTest(self.scene).first(record, self.reference, rows, self.reference.q[rows]) is not None

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from trajopt.control.reference import ContactTimeline
-from trajopt.motion.arrays import rows_of
+from trajopt.motion.consistency import rows_of
 from trajopt.motion.description import PlanDescription
 from trajopt.motion.solution import Solution
 from trajopt.motion.statistics import SolveStatistics

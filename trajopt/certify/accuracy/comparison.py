@@ -9,13 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajopt.certify.accuracy.named_points import NamedPoints
-from trajopt.dynamics.base_joint import base_of
 from trajopt.errors import InputError
+from trajopt.motion.configurations import sample_interval
 from trajopt.motion.interpolation import MotionSample, joined
-from trajopt.motion.resampling import sample_interval
 from trajopt.motion.samples import state_distance
 from trajopt.motion.solution import Solution
-from trajopt.robot.natural_units import NaturalUnits
 
 # Number of times in each phase, including its ends, at which motions are compared.
 COMPARISON_TIMES = 101
@@ -61,12 +59,12 @@ class _Apart:
 def compare(plan: Solution, reference: Solution) -> Comparison:
     """Compare two plans of one problem; raises `InputError` if robots, actuations or phases differ."""
     require_same_task(plan, reference)
-    points, units = NamedPoints.of(plan.model), NaturalUnits.of(plan.model)
+    points, units = NamedPoints.of(plan.model), plan.units
     phases = [_phase(plan, reference, points, phase) for phase in range(len(plan.phases))]
     unit = plan.actuation.input_unit(units.generalized_force(plan.model))
     torques = [part.torque / unit for part in phases]
     worst = np.array([part.state for part in phases])
-    fixed = base_of(plan.model) == "fixed"
+    fixed = plan.base == "fixed"
     distances = worst[:, 3] if fixed else worst[:, 0]
     return Comparison(
         objective_gap=objective_gap(plan, reference),

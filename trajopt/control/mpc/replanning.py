@@ -154,7 +154,7 @@ def _require_fitting(robot: Robot, plan: Solution) -> None:
             f"the plan of '{about.robot}' has other joints, contacts or another mass than '{robot.name}'",
             "allowed: the robot of the plan",
         )
-    touched = touched_surfaces(plan, contact_places(plan).position)
+    touched = touched_surfaces(about, contact_places(plan).position, plan.phase)
     steep, held = touched.normal[:, :, 2] < 1.0 - LEVEL, touched.bilateral | touched.slides
     for kind, wrong in (("steep ground", steep), ("what they hold or slide along", held)):
         if (wrong & plan.active).any():

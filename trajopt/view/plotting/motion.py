@@ -9,8 +9,8 @@ import pinocchio as pin
 from trajopt.collision.near import GROUND
 from trajopt.dynamics.base_joint import BASE_JOINT
 from trajopt.dynamics.virtual_base import angles_of
-from trajopt.motion.carried import payload_wrenches
 from trajopt.motion.quantities import MotionQuantities
+from trajopt.motion.samples import payload_wrenches
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.actuators.on_robot import drive_torque_values
 from trajopt.robot.sole import centre_of_pressure
