@@ -85,6 +85,8 @@ def discover_command(
 
     if resume and output_dir is None:
         raise InputError("--resume has no folder to go on with", "allowed: with --output-dir")
+    if None not in (arguments["jobs"], arguments["scheduler"]):
+        raise InputError("--jobs has no effect here", "allowed: without --scheduler")
     for path in (schedule_out, output):
         if path is not None:
             check_output(path)
@@ -93,7 +95,9 @@ def discover_command(
 
     def show(candidate: Candidate) -> None:
         if not as_json:
-            shown.print(_line(candidate), highlight=False)
+            what = candidate.why if candidate.objective is None else f"objective {candidate.objective:.5g}"
+            line = f"{candidate.source:<16} {candidate.status:<10} {candidate.seconds:6.2f} s  {what}"
+            shown.print(line, highlight=False)
 
     arguments["known"] = not no_known
     discovery = discover(task, folder=output_dir, resume=resume, on_candidate=show, **arguments)
@@ -216,11 +220,6 @@ def _span(text: str | None) -> tuple[float, float]:
     if len(parts) not in (1, 2) or not all(0 < part < math.inf for part in parts) or parts != sorted(parts):
         raise InputError(f"--time is '{text}'", TIME_FORM)
     return parts[0], parts[-1]
-
-
-def _line(candidate: Candidate) -> str:
-    what = candidate.why if candidate.objective is None else f"objective {candidate.objective:.5g}"
-    return f"{candidate.source:<16} {candidate.status:<10} {candidate.seconds:6.2f} s  {what}"
 
 
 def _print(discovery: Discovery, gait: tuple[str, float] | None) -> None:

@@ -209,7 +209,7 @@ def _draw_sky_and_light(vis: Any, size: float) -> None:
 def _draw_faces(node: Any, terrain: PiecewiseTerrain, area: np.ndarray, drop: float, size: float) -> None:
     planes: list[Surface] = []
     material = shapes.MeshLambertMaterial(vertexColors=True)
-    for number, (face, solid) in enumerate(solids_within(terrain, *area, DEPTH * size)):
+    for number, (face, solid) in enumerate(solids_within(terrain, area[0], area[1], DEPTH * size)):
         plane, (top, under) = face.surface, np.split(solid - drop * parts.UPWARD, 2)
         place = next((i for i, other in enumerate(planes) if plane.same_plane(other)), len(planes))
         if place == len(planes):
