@@ -16,7 +16,7 @@ from trajopt.errors import InputError
 from trajopt.motion.solution import Solution
 from trajopt.problem.problem import Problem
 from trajopt.robot import Robot, biped_legs, contact_poses
-from trajopt.robot.sole import centre_of_pressure
+from trajopt.robot.contact import centre_of_pressure
 from trajopt.solving.solving import solve
 from trajopt_library import problems
 from trajopt_library.problems import bipeds

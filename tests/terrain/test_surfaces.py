@@ -14,8 +14,8 @@ from tests.support.refusals import assert_refused_in_one_line
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError
 from trajopt.problem.problem import Problem
+from trajopt.robot.contact import centre_of_pressure
 from trajopt.robot.friction import friction_rows, pressure_rows, yaw_rows
-from trajopt.robot.sole import centre_of_pressure
 from trajopt.robot.units import Units
 from trajopt.schedule import start_of
 from trajopt.schedule.schedule import Phase, Schedule

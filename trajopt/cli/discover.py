@@ -17,7 +17,7 @@ from trajopt.cli.input import (
     value_option,
 )
 from trajopt.cli.report import console, plain_table, say, to_json
-from trajopt.errors import InputError, expanded, not_among
+from trajopt.errors import InputError, expanded, finite_number, not_among
 from trajopt.motion.output import check_output, replacing
 
 if TYPE_CHECKING:
@@ -155,7 +155,7 @@ def _tasks(
             f"--set has no effect on the robot '{problem}'", "allowed: --goal, or a problem's name"
         )
     robot = load_robot(problem)
-    values = {name: _number(name, text) for name, text in parse_settings(goal, "--goal").items()}
+    values = {name: finite_number(name, text) for name, text in parse_settings(goal, "--goal").items()}
     for name in values:
         if name not in GOAL:
             raise not_among(GOAL, name, f"a goal has no '{name}'")
@@ -164,7 +164,7 @@ def _tasks(
     name, _, text = size.partition("=")
     if (kind, size) != ("flat", "") and OBSTACLES.get(kind) != name:
         raise InputError(f"--terrain '{terrain}' has the wrong form", TERRAIN_FORM)
-    extent = None if kind == "flat" else _number(name, text)
+    extent = None if kind == "flat" else finite_number(name, text)
 
     def make(part: float) -> ContactTask:
         way = {name: part * value for name, value in values.items()}
@@ -196,17 +196,8 @@ def _cycle(
         raise InputError(
             f"the robot of '{name}' is not clear", f"allowed: its name, or {KINDS[0]} --set robot=NAME"
         )
-    return cycle_of(load_robot(values.get("robot", name)), _number("speed", values["speed"]), span[1] or None)
-
-
-def _number(name: str, text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise InputError(f"{name} is '{text}'", "allowed: a finite number")
-    return value
+    speed = finite_number("speed", values["speed"])
+    return cycle_of(load_robot(values.get("robot", name)), speed, span[1] or None)
 
 
 def _span(text: str | None) -> tuple[float, float]:

@@ -20,7 +20,7 @@ from trajopt.collision.shapes import LinkShape, Obstacle
 from trajopt.dynamics.base_joint import BASE_ROWS
 from trajopt.errors import InputError
 from trajopt.robot.building import reach
-from trajopt.robot.mjcf_shapes import excluded_bodies
+from trajopt.robot.mjcf import excluded_bodies
 from trajopt.robot.robot import Robot
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.surface import MOST_SHAPES

@@ -1,9 +1,10 @@
 """A problem as data: robot, schedule, terrain, start, terms and a guess."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -330,3 +331,21 @@ class Problem:
         if landing:
             rows += (ContactLanding(at=start_of(first), contacts=landing, terrain=self.terrain),)
         return rows
+
+
+@checked
+@dataclass(frozen=True)
+class PublishedOptimum:
+    """A problem with a published optimum.
+
+    ``build`` returns the problem and ``value`` computes the published ``quantity`` from a solution. The
+    ``published`` value is from ``source`` and holds to a relative ``tolerance``. ``name`` is for tables.
+    """
+
+    name: str
+    build: Callable[[], Problem]
+    value: Callable[[Any], float]
+    quantity: str
+    published: float
+    tolerance: float
+    source: str
