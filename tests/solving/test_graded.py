@@ -11,8 +11,7 @@ from trajopt.certify.report import GRADE
 from trajopt.errors import InputError
 from trajopt.motion.grid import mesh_of
 from trajopt.problem.problem import Problem
-from trajopt.solving.budget import solve_within
-from trajopt.solving.graded import first_mesh, solve_graded
+from trajopt.solving.graded import first_mesh, solve_graded, solve_within
 from trajopt.solving.remeshing import PhaseErrors, remeshed
 from trajopt.solving.solving import solve
 from trajopt.solving.stalling import CERTIFIED
