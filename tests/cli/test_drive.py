@@ -280,6 +280,7 @@ def test_a_cycle_of_a_robot_is_found(folder: Path) -> None:
         (("hopper-hop", "--goal", "x=1"), "--goal has no effect on the problem"),
         (("hopper-hop", "--terrain", "flat"), "--terrain has no effect on the problem"),
         (("hopper-hop", "--time", "1"), "--time has no effect on the problem"),
+        (("hopper-hop", "--jobs", 1, "--scheduler", "tcp://127.0.0.1:1"), "allowed: without --scheduler"),
         (("go2", "--goal", "z=1"), "a goal has no 'z'"),
         (("go2", "--goal", "x=nan"), "allowed: a finite number"),
         (("go2", "--terrain", "box"), "has the wrong form"),

@@ -325,9 +325,9 @@ def test_motion_that_knows_no_obstacle_collides():
     assert check(solution).obstacle_distance < -0.01
 
 
-def test_arm_has_the_shapes_of_its_description_or_capsules():
+def test_arm_has_the_shapes_of_its_description_or_boxes():
     assert bodies("ur5").scene.shapes == robot_shapes(problem("ur5").robot).shapes
-    assert {shape.kind for shape in bodies("irb1600").scene.shapes} == {"capsule"}
+    assert {shape.kind for shape in bodies("irb1600").scene.shapes} == {"box"}
 
 
 def test_obstacles_scale_with_the_arm():

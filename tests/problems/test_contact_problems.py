@@ -18,7 +18,7 @@ from trajopt.certify.report import AT_POINTS
 from trajopt.dynamics import contact_jacobian, gravity_of
 from trajopt.dynamics.model_quantities import mass_of
 from trajopt.robot import biped_legs, contact_poses
-from trajopt.robot.sole import centre_of_pressure
+from trajopt.robot.contact import centre_of_pressure
 from trajopt.solving.solving import solve
 from trajopt_library import problems, robots
 from trajopt_library.problems import bipeds

@@ -175,7 +175,7 @@ def test_search_is_deterministic_and_nothing_out_of_reach_is_found():
     assert [posture.q.tolist() for posture in first] == [posture.q.tolist() for posture in second]
     far = pin.SE3(np.eye(3), np.array([3.0, 0.0, 0.5]))
     assert inverse_kinematics_branches(robot, {irb1600.TOOL: far}, starts=40) == ()
-    with pytest.raises(InputError, match="at least 1"):
+    with pytest.raises(InputError, match="starts of inverse_kinematics_branches is 0"):
         inverse_kinematics_branches(robot, target, starts=0)
 
 

@@ -14,8 +14,8 @@ from tests.support.refusals import assert_refused_in_one_line
 from trajopt import FlatGround, InputError, Phase, Problem, Schedule, start_of
 from trajopt.dynamics import Coordinates
 from trajopt.robot import Units
+from trajopt.robot.contact import centre_of_pressure
 from trajopt.robot.friction import friction_rows, pressure_rows, yaw_rows
-from trajopt.robot.sole import centre_of_pressure
 from trajopt.solving.solving import solve
 from trajopt.terms import (
     ContactLanding,

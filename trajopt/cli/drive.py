@@ -104,7 +104,7 @@ def drive_command(
 ) -> int:
     """Drive ROBOT in MuJoCo: from a page in the browser, or by the commands of a script.
 
-    Whole-body motions are planned anew every --period while it moves. By a script, simulated time waits for
+    Whole-body motions are replanned every --period while it moves. By a script, simulated time waits for
     the solver, and a plan is used after --plan-delay, so that the motion does not depend on times; ROBOT has
     legs and a free base, or is an arm whose tool goes to places. Without one, a page in the browser steers it
     in real time, or with --target the tool of an arm, until Ctrl-C. Exit status 0, 1 when the robot falls by

@@ -20,8 +20,7 @@ from trajopt.motion.touched import TouchedSurfaces, held_contacts, touched_surfa
 from trajopt.robot.actuators.actuation import Actuation
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.natural_units import NaturalUnits
-from trajopt.terrain.piecewise import PiecewiseTerrain
-from trajopt.terrain.surface import Surface, frame_of_normal
+from trajopt.terrain.surface import Surface, by_plane, frame_of_normal
 
 # Radius of the balls of links and of contacts that do not roll, and margin around the motion, in reaches.
 BALL, AROUND = 1e-3, 2.0
@@ -148,7 +147,7 @@ class Site:
             actuated_rows=plan.actuated_rows,
             actuation=plan.actuation,
         )
-        places, apart = contact_places(plan), _separate_surfaces(plan.description)
+        places, apart = contact_places(plan), plan.description.separate_surfaces
         starts = [rows.start for rows in plan.phases]
         return cls(
             standing=_standing(plan, apart),
@@ -232,19 +231,6 @@ def height_over(terrain: Any, points: np.ndarray) -> np.ndarray:
     return np.asarray(points[..., 2] - terrain.height(points[..., 0], points[..., 1]))
 
 
-def _separate_surfaces(description: PlanDescription) -> list[tuple[int, int, Surface]]:
-    """(phase, contact, surface) of single contacts that touch something other than the terrain."""
-    terrain, frames = description.ground, list(description.frames)
-    faces = terrain.faces if isinstance(terrain, PiecewiseTerrain) else ()
-    planes = [face.surface for face in faces] + ([terrain] if isinstance(terrain, Surface) else [])
-    return [
-        (phase, frames.index(frame), surface)
-        for phase, surfaces in enumerate(description.surfaces)
-        for frame, surface in surfaces.items()
-        if surface.bilateral or not any(surface.same_plane(plane) for plane in planes)
-    ]
-
-
 def _standing(plan: Solution, separate: Sequence[tuple[int, int, Surface]]) -> tuple[int, ...]:
     """Contacts that touch the terrain in some phase, or whose image in a periodic plan does."""
     elsewhere = {(phase, contact) for phase, contact, _ in separate}
@@ -265,22 +251,14 @@ def _boards(
     plan: Solution, separate: Sequence[tuple[int, int, Surface]], feet: np.ndarray
 ) -> tuple[Board, ...]:
     """Unilateral planes with their contacts, which are at ``feet`` (K, nc, 3), m, at the samples."""
-    groups: list[tuple[Surface, list[tuple[int, int]]]] = []
-    for phase, contact, surface in separate:
-        if surface.bilateral:
-            continue
-        same = [group for group in groups if group[0].same_plane(surface)]
-        if same:
-            same[0][1].append((phase, contact))
-        else:
-            groups.append((surface, [(phase, contact)]))
+    touches = [touch for touch in separate if not touch[2].bilateral]
     return tuple(
         Board(
-            surface=surface,
-            contacts=tuple(sorted({contact for _, contact in uses})),
-            points=np.concatenate([_under(plan, surface, feet, *use) for use in uses]),
+            surface=group[0][2],
+            contacts=tuple(sorted({contact for _, contact, _ in group})),
+            points=np.concatenate([_under(plan, group[0][2], feet, *touch[:2]) for touch in group]),
         )
-        for surface, uses in groups
+        for group in by_plane(touches, lambda touch: touch[2])
     )
 
 

@@ -144,7 +144,7 @@ def _require_fitting(robot: Robot, plan: Solution) -> None:
     """Raise `InputError` for a plan that cannot be replanned, or is of another robot."""
     if robot.base != "freeflyer":
         raise InputError(f"robot '{robot.name}' has a {robot.base} base", "allowed: a free one")
-    about, what = plan.description, f"the plan of '{plan.description.problem}' cannot be planned anew"
+    about, what = plan.description, f"the plan of '{plan.description.problem}' cannot be replanned"
     if about.actuation != "torque" or about.payloads or not plan.active.any() or robot.nu < robot.nv - 6:
         raise InputError(what, "allowed: torques at all joints, contacts, and no payloads")
     masses = [mass_of(model) for model in (plan.model, robot.model)]

@@ -13,7 +13,7 @@ from trajopt.motion.quantities import MotionQuantities
 from trajopt.motion.samples import payload_wrenches
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.actuators.on_robot import drive_torque_values
-from trajopt.robot.sole import centre_of_pressure
+from trajopt.robot.contact import centre_of_pressure
 from trajopt.view.replay.motion import LEAST_PRESSURE
 
 # Maps model, data, q and v to an array.

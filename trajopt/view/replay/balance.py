@@ -23,7 +23,7 @@ import pinocchio as pin
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.dynamics.model_quantities import mass_of
 from trajopt.motion.solution import Solution
-from trajopt.robot.sole import centre_of_pressure
+from trajopt.robot.contact import centre_of_pressure
 from trajopt.terrain.bodies import outline
 from trajopt.terrain.surface import SAME_PLANE, UP, Surface, frame_of_normal
 from trajopt.view.replay import parts

@@ -11,7 +11,7 @@ from trajopt.errors import InputError, is_number
 from trajopt.motion.configurations import geodesic_configurations
 from trajopt.motion.solution import Solution
 from trajopt.motion.touched import TouchedSurfaces, held_contacts, touched_surfaces
-from trajopt.robot.sole import centre_of_pressure
+from trajopt.robot.contact import centre_of_pressure
 
 # Pictures a second of playback: what screens show.
 FRAME_RATE = 60.0
