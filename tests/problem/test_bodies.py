@@ -23,10 +23,9 @@ from trajopt.problem.bodies import (
     bodies_of,
     clearance_of,
 )
-from trajopt.problem.problem import Problem
+from trajopt.problem.problem import Problem, rest
 from trajopt.schedule import start_of
 from trajopt.solving.extraction import described_bodies
-from trajopt.solving.rest import rest
 from trajopt.terms import Clearance, FramePose, Term, TerminalPosture, TerminalState
 from trajopt.terrain.flat import FlatGround
 from trajopt_library import robots

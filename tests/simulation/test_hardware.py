@@ -50,7 +50,7 @@ def run_of(plan: Solution, **settings: Any) -> SimulationRun:
 
 def asked(found: Simulation, late: int) -> np.ndarray:
     """Torques (n, nu) of the joints' law on the recorded states ``late`` ticks ago."""
-    reference, gains = found.reference, gains_of(found.scene, found.reference, found.settings)
+    reference, gains = found.timeline, gains_of(found.scene, found.timeline, found.settings)
     rows = np.maximum(np.arange(len(reference.t)) - late, 0)
     error = reference.q - found.scene.coordinates.from_mujoco(found.record.qpos[rows])
     rate = reference.v - found.record.qvel[rows]
@@ -78,8 +78,8 @@ def test_contacts_are_late_with_the_state(stand: Solution) -> None:
 def test_torques_change_at_most_at_their_rate(arm: Solution) -> None:
     rate = 200.0
     found = simulate(arm, torque_rate=rate, noise=0.01)
-    change = np.abs(np.diff(np.vstack([found.reference.torque[:1], found.record.torque]), axis=0))
-    most = rate * found.reference.period
+    change = np.abs(np.diff(np.vstack([found.timeline.torque[:1], found.record.torque]), axis=0))
+    most = rate * found.timeline.period
     assert change.max() <= most + ROUNDING
     assert change.max() == pytest.approx(most)
 
