@@ -405,4 +405,4 @@ def test_an_arm_is_not_pushed_and_its_report_says_nothing_of_feet():
         simulate(plan, push=50.0)
     table = simulate(plan).report.table()
     assert not any(word in table for word in ("touchdown", "slips", "contact forces", "base"))
-    assert "joints, rms" in table
+    assert "joint error, rms" in table
