@@ -148,7 +148,7 @@ class DriveReport(PlanFigures):
     """
 
     duration: float
-    relaxed: Mapping[str, int] = figure("ticks, relaxing")
+    relaxed: Mapping[str, int] = figure("ticks by relaxation")
     slack: float = figure("ticks, slack", "natural")
     distance: float = figure("distance", "m")
     mean_errors: CommandErrors | None = figure("rms error of mean velocity")

@@ -91,7 +91,7 @@ class TickReport:
     iterations: int
     time_mean: float = figure("mean time", "ms", scale=1e3)
     time_99: float = figure("99 % of times", "ms", scale=1e3)
-    relaxed: dict[str, int] = figure("relaxing")
+    relaxed: dict[str, int] = figure("by relaxation")
     slack: float = figure("slack", "natural")
 
     @classmethod
