@@ -22,7 +22,6 @@ from tests.support.synthetic_motions import (
 from trajopt import InputError, Robot, Solution
 from trajopt.certify import impact
 from trajopt.certify.accuracy import interval_errors, measure
-from trajopt.certify.accuracy.table import accuracy_table
 from trajopt.certify.reintegration import active_contacts
 from trajopt.errors import SolutionFileError
 from trajopt.motion.description import CarriedBody, PlannedContact
@@ -225,7 +224,7 @@ def test_torque_that_runs_away_is_infinite_and_null_in_json():
 def test_measure_reads_files_and_refuses_what_is_wrong(tmp_path):
     path = two_phases().save(tmp_path / "plan.npz")
     assert_allclose(interval_errors(path), interval_errors(two_phases()))
-    assert "whole motion" in accuracy_table(measure(path, path))
+    assert "whole motion" in measure(path, path).table()
     with pytest.raises(SolutionFileError, match="does not exist"):
         measure(tmp_path / "none.npz")
     q = two_phases().q.copy()

@@ -18,8 +18,8 @@ from trajopt.inspection.faults import depths_below
 from trajopt.inspection.report import robot_report
 from trajopt.inspection.standing import inside, standing_feet, standing_posture
 from trajopt.inspection.starter import Limbs, find_limbs, guessed, starter
+from trajopt.problem.problem import rest
 from trajopt.robot import read_urdf, robot_file
-from trajopt.solving.rest import rest
 from trajopt_library import robots
 
 URDF = ROOT / "docs" / "tutorial" / "puppy" / "urdf" / "puppy.urdf"

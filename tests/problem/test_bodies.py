@@ -17,8 +17,8 @@ from trajopt.collision.description import sampled_postures
 from trajopt.collision.near import GROUND
 from trajopt.collision.shapes import LinkShape, SphereObstacle
 from trajopt.problem.bodies import FOOT_DEPTH, GAP_SLACK, MORE_DEPTH, ProblemBodies, bodies_of, clearance_of
+from trajopt.problem.problem import rest
 from trajopt.solving.extraction import described_bodies
-from trajopt.solving.rest import rest
 from trajopt.terms import Clearance, FramePose, Term, TerminalPosture, TerminalState
 from trajopt_library import robots
 

@@ -55,7 +55,7 @@ def test_an_event_is_applied_at_every_tick_to_what_is_without_events(flight: Sol
     found = simulate(flight, events=[lift])
     assert isinstance(lift, Event)
     times, forces, friction = np.array(lift.found).T
-    np.testing.assert_allclose(times, found.reference.t)
+    np.testing.assert_allclose(times, found.timeline.t)
     assert not forces.any()
     assert len(set(friction)) == 1
 

@@ -288,6 +288,7 @@ def test_server_answers_on_this_machine_only(served):
     port = int(served.url.rstrip("/").rpartition(":")[2])
     with socket.socket() as other:
         other.bind(("127.0.0.2", port))  # free: the server has not taken the port of every address
+        assert other.getsockname() == ("127.0.0.2", port)
 
 
 def test_second_replay_takes_the_next_port(hop, served):

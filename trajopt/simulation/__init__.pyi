@@ -1,4 +1,3 @@
-from .controllers import TorqueController as TorqueController
 from .drive_report import DriveReport as DriveReport
 from .lockstep import DrivenMotion as DrivenMotion
 from .lockstep import drive as drive
@@ -8,3 +7,4 @@ from .push import largest_pushes as largest_pushes
 from .settings import Event as Event
 from .settings import Impulse as Impulse
 from .settings import SimulationSettings as SimulationSettings
+from .settings import TorqueController as TorqueController

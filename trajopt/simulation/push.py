@@ -12,15 +12,16 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
+from typing_extensions import override
 
 from trajopt.arguments import NonNegative, Positive, PositiveCount, checked
+from trajopt.certify.figures import FigureReport, MeasuredFigure, compared
 from trajopt.control.reference import ReferenceTrajectory, reference_of
 from trajopt.errors import InputError
 from trajopt.motion.input import SolutionOrFile, require_motion, solution_of
-from trajopt.motion.meta import jsonable
 from trajopt.motion.solution import Solution
 from trajopt.robot.mujoco_package import muted_mujoco
 from trajopt.simulation.events import LEAST_LEVEL
@@ -46,7 +47,7 @@ NAMES = {0.0: "forward", 90.0: "left", 180.0: "backward", 270.0: "right"}
 
 
 @dataclass(frozen=True, kw_only=True)
-class PushReport:
+class PushReport(FigureReport):
     """Largest impulses that a plan survives.
 
     Args:
@@ -60,6 +61,8 @@ class PushReport:
         impulses: (n,) N s by controller; zero where even the smallest push, or none, makes it fall.
         notes: further remarks.
     """
+
+    DERIVED: ClassVar[tuple[str, ...]] = ("natural", "ratios")
 
     problem: str
     robot: str
@@ -79,30 +82,43 @@ class PushReport:
         pairs = zip(*(self.impulses.get(name, ()) for name in CONTROLLERS), strict=False)
         return tuple(whole / joints if joints else math.nan for joints, whole in pairs)
 
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-able figures; ``natural`` has the impulses in natural units."""
-        natural = {name: [size / self.unit for size in row] for name, row in self.impulses.items()}
-        figures = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        ratios = [None if math.isnan(ratio) else ratio for ratio in self.ratios]
-        return jsonable({**figures, "natural": natural, "ratios": ratios})
+    @property
+    def natural(self) -> dict[Controller, list[float]]:
+        """Impulses in natural units."""
+        return {name: [size / self.unit for size in sizes] for name, sizes in self.impulses.items()}
 
+    @property
+    def columns(self) -> dict[str, list[MeasuredFigure]]:
+        """Figures by controller, one for each direction, and their ratios."""
+        columns: dict[str, list[MeasuredFigure]] = {
+            name: [
+                MeasuredFigure(
+                    text=f"{name}, {angle:g} degrees",
+                    value=size,
+                    unit="N s",
+                    natural=size / self.unit,
+                    open_ended=size >= self.most,
+                )
+                for angle, size in zip(self.directions, sizes, strict=True)
+            ]
+            for name, sizes in self.impulses.items()
+        }
+        ratios = [MeasuredFigure(text="ratio", value=ratio) for ratio in self.ratios]
+        return {**columns, "ratio": ratios} if ratios else columns
+
+    @override
+    def figures(self) -> list[MeasuredFigure]:
+        return [each for column in self.columns.values() for each in column]
+
+    @override
     def table(self) -> str:
         """One line per direction: impulses in N s and in natural units, and their ratio."""
-        lines = [
+        head = (
             f"push at {self.time:.3f} s for {1e3 * self.duration:.0f} ms, {self.after:.2f} s simulated from "
-            f"it; largest impulse survived, N s (over weight * sqrt(l / g) = {self.unit:.3g} N s)",
-            f"{'direction':16}" + "".join(f"{name:>19}" for name in self.impulses)
-            + ("   ratio" if self.ratios else ""),
-        ]  # fmt: skip
-        for row, angle in enumerate(self.directions):
-            cells = "".join(f"{self._cell(sizes[row]):>19}" for sizes in self.impulses.values())
-            ratio = f"{self.ratios[row]:8.2f}" if self.ratios else ""
-            lines.append(f"{f'{angle:g} {NAMES.get(angle, str())}':16}{cells}{ratio.replace('nan', '  -')}")
-        return "\n".join([*lines, *(f"note: {note}" for note in self.notes)])
-
-    def _cell(self, size: float) -> str:
-        bound = ">= " if size >= self.most else ""
-        return f"{bound}{size:.3g} ({size / self.unit:.3f})"
+            f"it; largest impulse survived, N s (over weight * sqrt(l / g) = {self.unit:.3g} N s)"
+        )
+        rows = [f"{angle:g} {NAMES.get(angle, '')}" for angle in self.directions]
+        return "\n".join([head, *compared(rows, self.columns), *(f"note: {note}" for note in self.notes)])
 
 
 @checked

@@ -3,7 +3,6 @@
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -25,30 +24,18 @@ from trajopt.simulation.report import ContactReport, SimulationReport, TickRepor
 from trajopt.simulation.run import SimulationRun, Start
 from trajopt.simulation.scene import Scene, build_scene
 from trajopt.simulation.settings import FEEDBACK_TIME, GivenController, SimulationSettings, TorqueController
-from trajopt.simulation.simulated import simulated_solution
+from trajopt.simulation.simulated import SimulatedMotion
 from trajopt.simulation.site import Site
 
 
 @dataclass(frozen=True, kw_only=True)
-class Simulation:
-    """A simulated plan: its report, and everything recorded. wall_time: of the physics, s."""
+class Simulation(SimulatedMotion):
+    """A simulated plan. timeline: the plan at the ticks. wall_time: of the physics, s."""
 
     plan: Solution
-    settings: SimulationSettings
-    reference: ReferenceTrajectory
-    scene: Scene
-    record: SimulationRecord
+    timeline: ReferenceTrajectory
     report: SimulationReport
     wall_time: float
-
-    def as_solution(self) -> Solution:
-        """The simulated motion as a solution of the same model; ``statistics.simulated`` is true."""
-        return self._solution
-
-    @cached_property
-    def _solution(self) -> Solution:
-        planned = self.plan.statistics
-        return simulated_solution(self.scene, self.reference, self.record, self.report, planned)
 
 
 @checked
@@ -83,7 +70,7 @@ def simulate(solution: SolutionOrFile, **settings: Any) -> Simulation:
     return Simulation(
         plan=plan,
         settings=wanted,
-        reference=reference,
+        timeline=reference,
         scene=scene,
         record=record,
         report=_report(reference, record, scene),
@@ -162,9 +149,7 @@ def _report(reference: ReferenceTrajectory, record: SimulationRecord, scene: Sce
         held=reference.period * reference.held,
         timestep=float(scene.compiled.opt.timestep),
         feedback_rate=1.0 / (FEEDBACK_TIME * scene.units.time),
-        fell=fall is not None,
-        fall_time=None if fall is None else fall.time,
-        fall_reason="" if fall is None else fall.why,
+        **SimulationReport.of_fall(fall),
         base_error_end=float(errors.base[end]) if moving else None,
         base_error_max=float(errors.base[: end + 1].max()) if moving else None,
         base_error_rms=float(np.sqrt((errors.base[: end + 1] ** 2).mean())) if moving else None,

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajopt.certify.accuracy.named_points import NamedPoints
+from trajopt.certify.figures import figure
 from trajopt.errors import InputError
 from trajopt.motion.configurations import sample_interval
 from trajopt.motion.interpolation import MotionSample, joined
@@ -36,14 +37,14 @@ class Comparison:
         by_phase: ``distance`` of each phase, m.
     """
 
-    objective_gap: float | None
-    distance: float
-    farthest: float
-    orientation: float | None
-    joints: float
-    torque: float
-    torque_rms: float
-    time: float
+    objective_gap: float | None = figure("objective against the reference", "relative")
+    distance: float = figure("position from the reference's", "m")
+    farthest: float = figure("farthest-off point from the reference's", "m")
+    orientation: float | None = figure("base orientation from the reference's", "rad")
+    joints: float = figure("joints from the reference's", "rad, m")
+    torque: float = figure("torques from the reference's", "weight, reach")
+    torque_rms: float = figure("torques from the reference's, mean square", "weight, reach")
+    time: float = figure("duration of a phase from the reference's", "s")
     by_phase: tuple[float, ...]
 
 

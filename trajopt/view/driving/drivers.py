@@ -13,7 +13,7 @@ from typing_extensions import override
 
 from trajopt.collision import Obstacle
 from trajopt.control.mpc.arm import ArmController, ArmSettings
-from trajopt.control.mpc.commands import STAND, Command
+from trajopt.control.mpc.commands import STAND, Command, CommandScript
 from trajopt.control.mpc.controller import Controller
 from trajopt.control.mpc.plans import Plans
 from trajopt.control.mpc.receding import ControllerSettings
@@ -21,8 +21,10 @@ from trajopt.errors import InputError, not_among, shown
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.robot.robot import Robot
 from trajopt.schedule.gaits import gait_names
-from trajopt.simulation.arm_drive import AXES, DELAY, PERIOD, ToolSteering
-from trajopt.simulation.lockstep import Steering
+from trajopt.simulation.arm_drive import AXES, DELAY, PERIOD, ArmDrive, ToolSteering, since
+from trajopt.simulation.driven_scene import DrivenScene
+from trajopt.simulation.lockstep import DrivenMotion, Steering
+from trajopt.simulation.simulated import SimulatedMotion
 
 # Gaits prepared by default, in seconds each; if a robot has none of them, its first MOST_GAITS.
 USUAL_GAITS, MOST_GAITS = ("trot", "walk", "pace"), 2
@@ -103,6 +105,10 @@ class PageController(ABC, Generic[AnySteering]):
     @abstractmethod
     def begin(self) -> None:
         """Restart with a fresh controller."""
+
+    @abstractmethod
+    def recorded(self, driven: DrivenScene) -> SimulatedMotion:
+        """The recorded drive since the last begin; its settings do not contain pushes on legs."""
 
     @property
     def plans(self) -> Plans:
@@ -189,6 +195,11 @@ class LegsDriver(PageController[Steering]):
         self.steering = Steering(self._made.fresh(), self._noted)
 
     @override
+    def recorded(self, driven: DrivenScene) -> DrivenMotion:
+        script = CommandScript(*zip(*since(self.log, driven.offset), strict=True))
+        return DrivenMotion.of(driven, self.steering, script, driven.timeline.until(driven.row))
+
+    @override
     def height(self, time: float) -> float:
         return self.command.height
 
@@ -234,6 +245,10 @@ class ArmDriver(PageController[ToolSteering]):
     def begin(self) -> None:
         self.close()
         self.steering = ToolSteering(self._made.fresh(), self._goal)
+
+    @override
+    def recorded(self, driven: DrivenScene) -> ArmDrive:
+        return ArmDrive.of(driven, self.steering)
 
     def _goal(self, time: float) -> np.ndarray:
         return np.array([self.values[axis] for axis in AXES])
