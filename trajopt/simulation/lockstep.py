@@ -134,8 +134,8 @@ def drive(
         hardware: fields of `SimulationSettings` among `HARDWARE`; feet with a radius roll by default.
 
     Raises:
-        InputError: for a robot without a free base or feet, a gait that it does not have, and settings that
-            are not allowed.
+        InputError: for a robot without a free base or feet, a gait that it does not have, a command that is
+            not `Controller.possible`, and settings that are not allowed.
     """
     unknown = [name for name in hardware if name not in HARDWARE]
     if unknown:
@@ -162,6 +162,8 @@ def drive(
         if name not in names:
             raise not_among(names, name, f"gait '{name}' of the script is not among those of the drive")
     steering = Steering(controller or Controller(robot, names, settings), script.at)
+    for command in script.commands:
+        steering.controller.possible(command)
     driven.begin(steering, lambda t: script.at(t).height)
     count, stretch = len(driven.timeline.t), max(1, round(STRETCH / driven.timeline.period))
     while driven.row < count and driven.fall is None:
@@ -213,7 +215,8 @@ def _report(
 ) -> DriveReport:
     controller, relaxed = steering.controller, steering.controller.follower.relaxed
     periods = {name: period for name, (_, period) in controller.clock.gaits.items()}
-    means, values = command_errors(script, velocity, timeline.period, periods)
+    rolling = {STAND: min(periods.values())} if controller.rolling else {}
+    means, values = command_errors(script, velocity, timeline.period, periods | rolling)
     steps = record.qpos[:: max(1, round(min(periods.values()) / timeline.period)), :2]
     return DriveReport(
         **plan_figures(controller, record, timeline.period, fall),

@@ -14,6 +14,7 @@ from trajopt.errors import InputError
 
 # The gait of a robot that stands.
 STAND = "stand"
+SPEEDS = ("speed", "lateral", "turn_rate")
 TIME = "time"
 
 
