@@ -131,7 +131,7 @@ def test_any_number_of_feet_has_gaits() -> None:
 
 
 WAVES = {
-    3: ("wave",),
+    3: ("pronk", "wave"),
     5: ("alternating", "ripple", "wave"),
     6: ("tripod", "ripple", "wave"),
     8: ("alternating", "ripple", "wave"),
@@ -144,7 +144,7 @@ def test_feet_of_any_number_step_from_hind_to_front(count: int) -> None:
     left, right = feet_by_side(robot)
     assert len(left) - len(right) == count % 2
     assert gait_names(robot) == WAVES[count]
-    for name in WAVES[count]:
+    for name in set(WAVES[count]) - {"pronk"}:
         gait = gait_of(robot, name)
         swing = 1 - gait.duty_of(left[0])
         for behind, before in (*pairwise(left), *pairwise(right)):

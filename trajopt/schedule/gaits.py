@@ -323,9 +323,10 @@ def _waves(left: Sequence[str], right: Sequence[str]) -> Mapping[str, Gait]:
     """
     n = len(left) + len(right)
     swinging = {"tripod" if n == 6 else "alternating": n / 2, "ripple": 2.0, "wave": 1.0}
+    gaits = []
     if n < 5:  # two of three in the air leave one
         swinging = {"wave": 1.0}
-    gaits = []
+        gaits.append(Gait(name="pronk", duty=0.6, offsets=dict.fromkeys((*left, *right), 0.0)))
     for name, count in swinging.items():
         lag, half = count / n, len(left) / n if count == 1 else 0.5
         offsets = {foot: lag * i for i, foot in enumerate(left)}
