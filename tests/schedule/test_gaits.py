@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from tests.support.driven_robots import HEXAPOD, around, walker
 from tests.support.models import random_state
 from tests.support.refusals import refusals, refused_calls
 from trajopt import FlatGround, InputError, Moment, Phase, Schedule, end_of, middle_of, start_of
 from trajopt.robot import biped_legs, edge_contacts, feet_in_base, quadruped_legs
+from trajopt.robot.legs import feet_by_side
 from trajopt.schedule import BIPED, END, QUADRUPED, Gait, Target, gait_of, rolled
-from trajopt.schedule.gaits import HOPPER, LEAST_SHARE
+from trajopt.schedule.gaits import HOPPER, LEAST_SHARE, gait_names
 from trajopt.terms import swing_arcs
 from trajopt.terrain import Patch, Surface
 from trajopt_library import robots
@@ -123,6 +125,41 @@ def test_any_number_of_feet_has_gaits() -> None:
     assert [phase.name for phase in wave.phases(PERIOD)] == [f"support5_{i}" for i in range(1, 7)]
     dragged = Gait(name="dragged", duty={"a": 1, "b": 0.5}, offsets={"a": 0.2, "b": 0.7})
     assert [phase.contacts for phase in dragged.phases(PERIOD)] == [("a", "b"), ("a",)]
+
+
+WAVES = {
+    3: ("pronk", "wave"),
+    5: ("alternating", "ripple", "wave"),
+    6: ("tripod", "ripple", "wave"),
+    8: ("alternating", "ripple", "wave"),
+}
+
+
+@pytest.mark.parametrize("count", WAVES)
+def test_feet_of_any_number_step_from_hind_to_front(count: int) -> None:
+    robot = walker(around(count))
+    left, right = feet_by_side(robot)
+    assert len(left) - len(right) == count % 2
+    assert gait_names(robot) == WAVES[count]
+    for name in set(WAVES[count]) - {"pronk"}:
+        gait = gait_of(robot, name)
+        swing = 1 - gait.duty_of(left[0])
+        for behind, before in (*pairwise(left), *pairwise(right)):
+            assert (gait.offsets[before] - gait.offsets[behind] - swing) % 1 == pytest.approx(0, abs=ROUNDING)
+        air = [(count - len(support.feet), support.part) for support in gait.supports()]
+        assert sum(feet * part for feet, part in air) == pytest.approx(count * swing)
+        if name == "wave":
+            assert {feet for feet, _ in air} == {1}
+
+
+def test_a_tripod_has_the_outer_feet_of_a_side_and_the_middle_one_of_the_other() -> None:
+    robot = walker(HEXAPOD)
+    left, right = feet_by_side(robot)
+    assert (left, right) == (("leg_4", "leg_2", "leg_0"), ("leg_5", "leg_3", "leg_1"))
+    stances = [set(support.feet) for support in gait_of(robot, "tripod").supports()]
+    assert stances == [{left[0], left[2], right[1]}, {right[0], right[2], left[1]}]
+    with pytest.raises(InputError, match="gait 'trot' is unknown"):
+        gait_of(robot, "trot")
 
 
 def test_free_durations_are_bounded_by_parts_of_the_nominal_ones() -> None:

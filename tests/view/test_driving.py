@@ -201,7 +201,7 @@ def test_a_controller_as_new_goes_on_like_another(driver: LegsDriver):
 def test_a_slow_gait_gets_low_speeds():
     driver = LegsDriver(robot("go2"), ("walk",))
     driver.obey({"gait": "walk", "speed": driver.sliders[0].high, "lateral": 0.01})
-    assert driver.command.speed == pytest.approx(SLOW * driver.sliders[0].high)
+    assert driver.command.speed == pytest.approx(SLOW["walk"] * driver.sliders[0].high)
     assert driver.command.lateral == 0.01
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from trajopt.certify.figures import figure
 from trajopt.control.mpc.arm import ArmController
-from trajopt.control.mpc.commands import STAND, CommandScript
+from trajopt.control.mpc.commands import CommandScript
 from trajopt.control.mpc.controller import Controller
 from trajopt.simulation.figures import Fall
 from trajopt.simulation.record import SimulationRecord
@@ -41,7 +41,7 @@ class TimeFigures:
 class CommandErrors:
     """Rms errors of forward speed and speed to the left, m/s, and of turn rate, rad/s.
 
-    They cover the time in which the robot walks, from `SETTLED` s after each change of command on.
+    They cover the time in which the robot walks or rolls, from `SETTLED` s after each change of command on.
     """
 
     speed: float = figure("forward", "m/s")
@@ -66,12 +66,12 @@ def command_errors(
         script: commands over time.
         velocity: forward speed, speed to the left, m/s, and turn rate, rad/s, at ticks (n, 3).
         period: period of the ticks, s.
-        periods: periods of the gaits by name, s.
+        periods: periods of the gaits that count by name, s.
     """
     ends = [*script.times[1:], len(velocity) * period]
     means, values = [np.zeros((0, 3))], [np.zeros((0, 3))]
     for begin, end, command in zip(script.times, ends, script.commands, strict=True):
-        if command.gait == STAND:
+        if command.gait not in periods:
             continue
         window = min(round(periods[command.gait] / period), len(velocity))
         first = round(max(begin + SETTLED, periods[command.gait] / 2) / period)

@@ -62,7 +62,8 @@ class DrivenMotion(SimulatedMotion):
         record, controller, period = driven.recorded(), steering.controller, timeline.period
         periods = {name: whole for name, (_, whole) in controller.clock.gaits.items()}
         velocity = base_velocity(driven.scene, record)
-        means, values = command_errors(script, velocity, period, periods)
+        rolling = {STAND: min(periods.values())} if controller.rolling else {}
+        means, values = command_errors(script, velocity, period, periods | rolling)
         steps = record.qpos[:: max(1, round(min(periods.values()) / period)), :2]
         report = DriveReport(
             **plan_figures(controller, record, period, driven.fall),
@@ -119,8 +120,8 @@ def drive(
         hardware: fields of `SimulationSettings` among `HARDWARE`; feet with a radius roll by default.
 
     Raises:
-        InputError: for a robot without a free base or feet, a gait that it does not have, and settings that
-            are not allowed.
+        InputError: for a robot without a free base or feet, a gait that it does not have, a command that is
+            not `Controller.possible`, and settings that are not allowed.
     """
     unknown = [name for name in hardware if name not in HARDWARE]
     if unknown:
@@ -147,6 +148,8 @@ def drive(
         if name not in names:
             raise not_among(names, name, f"gait '{name}' of the script is not among those of the drive")
     steering = Steering(controller or Controller(robot, names, settings), script.at)
+    for command in script.commands:
+        steering.controller.possible(command)
     driven.begin(steering, lambda t: script.at(t).height)
     driven.simulate(lockstep)
     return DrivenMotion.of(driven, steering, script, driven.timeline)

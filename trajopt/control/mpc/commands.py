@@ -13,6 +13,7 @@ from trajopt.errors import InputError, finite_number
 
 # The gait of a robot that stands.
 STAND = "stand"
+SPEEDS = ("speed", "lateral", "turn_rate")
 TIME = "time"
 
 

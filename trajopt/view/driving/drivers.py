@@ -13,7 +13,7 @@ from typing_extensions import override
 
 from trajopt.collision import Obstacle
 from trajopt.control.mpc.arm import ArmController, ArmSettings
-from trajopt.control.mpc.commands import STAND, Command, CommandScript
+from trajopt.control.mpc.commands import SPEEDS, STAND, Command, CommandScript
 from trajopt.control.mpc.controller import Controller
 from trajopt.control.mpc.plans import Plans
 from trajopt.control.mpc.receding import ControllerSettings
@@ -32,13 +32,13 @@ USUAL_GAITS, MOST_GAITS = ("trot", "walk", "pace"), 2
 # the speeds are scaled by CAREFUL.
 SPEED, LATERAL, TURN, HEIGHT = 0.6, 0.25, 0.25, 0.15
 FEET, CAREFUL = 4, 0.4
-# Gaits that lift one of four feet at a time are limited to this fraction of the speeds: faster ones fall.
-SLOW_GAITS, SLOW = ("walk", "amble"), 0.5
+# Gaits of four or more feet with long stances are limited to these fractions of the speeds: faster ones fall.
+SLOW = {"walk": 0.5, "amble": 0.5, "ripple": 0.5, "wave": 0.2}
 # Largest and initial push in units of weight times natural time.
 MOST_PUSH, USUAL_PUSH = 0.5, 0.1
 # Names of the sliders of a push.
 PUSH, DIRECTION = "push", "direction"
-GAIT, SPEEDS = "gait", ("speed", "lateral", "turn_rate")
+GAIT = "gait"
 # A browser rounds the ends of a slider: values this far beyond them are clipped.
 EDGE = 1e-9
 AnySteering = TypeVar("AnySteering", bound=Steering | ToolSteering)
@@ -173,12 +173,11 @@ class LegsDriver(PageController[Steering]):
 
     @property
     def command(self) -> Command:
-        """The current command; speeds are zero in a stand and reduced in slow gaits."""
-        if self.gait == STAND:
-            return Command(height=self.values["height"])
-        slow = self.gait in SLOW_GAITS and len(self.robot.contacts) >= FEET
-        most = {each.name: (SLOW if slow else 1.0) * each.high for each in self.sliders}
-        speeds = {name: min(max(self.values[name], -most[name]), most[name]) for name in SPEEDS}
+        """The current command; speeds are zero in a stand, except on wheels, and reduced in slow gaits."""
+        part = SLOW.get(self.gait, 1.0) if len(self.robot.contacts) >= FEET else 1.0
+        most = {each.name: part * each.high for each in self.sliders}
+        names = self._made.rolling if self.gait == STAND else SPEEDS
+        speeds = {name: min(max(self.values[name], -most[name]), most[name]) for name in names}
         return Command(gait=self.gait, height=self.values["height"], **speeds)
 
     def _noted(self, time: float) -> Command:
