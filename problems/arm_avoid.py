@@ -149,17 +149,19 @@ def build(
     duration: float | None,
 ) -> Problem:
     """Build the motion past the obstacles; see ``FAMILY`` for the parameters. Raises InputError."""
-    from trajopt.collision import CollisionScene, inertia_capsules  # slow; not needed to list problems
+    from trajopt.collision import CollisionScene, inertia_boxes, separable_pairs  # slow; not needed to list
 
     arm = arms.load(robot)
     body, reach = arm.robot, arm.robot.length
     place = (radius * reach, height * reach)
     start, goal = (turned(arm, side * turn, *place) for side in (-1.0, 1.0))
     obstacles = obstacles_of(arm, turn, *place, rise * reach)
-    shapes = None if robot_shapes(body).shapes else inertia_capsules(body.model)
-    clearance = Clearance(obstacles=obstacles, margin=margin * reach, shapes=shapes)
-    solid = shapes or robot_shapes(body).shapes
-    scene = CollisionScene(model=body.model, shapes=solid, obstacles=obstacles)
+    shapes, boxes, pairs = robot_shapes(body).shapes, None, ()
+    if not shapes:
+        shapes = boxes = inertia_boxes(body.model)
+        pairs = separable_pairs(body.model, boxes, body.reference, margin * reach)
+    clearance = Clearance(obstacles=obstacles, margin=margin * reach, shapes=boxes)
+    scene = CollisionScene(model=body.model, shapes=shapes, obstacles=obstacles, self_pairs=pairs)
     path = raised_path(arm, (start, goal), scene, margin * reach)
     given = _duration(body, start, goal) if duration is None else duration
     problem = arms.between(

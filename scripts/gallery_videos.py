@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from trajopt.motion.arrays import REQUESTS, SAMPLED
+from trajopt.motion.consistency import REQUESTS, SAMPLED
 from trajopt.motion.solution import Solution
 from trajopt.problem.catalogue import families
 from trajopt.simulation.simulate import simulate

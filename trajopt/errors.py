@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import math
 import reprlib
@@ -180,9 +181,21 @@ def require_not_negative(what: str, value: Any, unit: str = "") -> None:
     _require(is_number(value) and value >= 0, what, value, unit, "finite and >= 0")
 
 
-def require_finite(what: str, value: Any, unit: str = "") -> None:
-    """Raise `InputError` unless ``value`` is a finite number."""
-    _require(is_number(value), what, value, unit, "a finite number")
+def finite_number(what: str, text: str, unit: str = "") -> float:
+    """Return the finite number that a text holds; else raise `InputError`."""
+    with contextlib.suppress(ValueError):
+        if math.isfinite(value := float(text)):
+            return value
+    raise InputError(f"{what} is '{text}'", "allowed: a finite number" + (f", {unit}" if unit else ""))
+
+
+def without_nonfinite(value: object) -> object:
+    """Return a JSON-able value with None for non-finite numbers."""
+    if isinstance(value, Mapping):
+        return {str(key): without_nonfinite(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [without_nonfinite(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _is_real(value: Any) -> bool:

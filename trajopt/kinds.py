@@ -217,11 +217,12 @@ def _literal(values: tuple[Any, ...]) -> Kind:
 
 def _instance(kind: Any) -> Kind:
     name = kind.__name__
+    protocol = getattr(kind, "_is_protocol", False)
+    members = [member for member in vars(kind) if protocol and not member.startswith("_")]
 
     def holds(value: Any) -> bool:
-        if not getattr(kind, "_is_protocol", False):
+        if not protocol:
             return isinstance(value, kind)
-        members = [member for member in vars(kind) if not member.startswith("_")]
         return (
             not isinstance(value, type)
             and all(hasattr(value, each) for each in members)
@@ -233,7 +234,8 @@ def _instance(kind: Any) -> Kind:
             return ""
         return f", for example {MADE_BY[name].format(name=value if isinstance(value, str) else '...')}"
 
-    return _that(with_article(kind), holds, made_by)
+    methods = f" (an object with {members[0]}())" if len(members) == 1 else ""
+    return _that(with_article(kind) + methods, holds, made_by)
 
 
 def _union(hints: tuple[Any, ...], keeps: bool) -> Kind:

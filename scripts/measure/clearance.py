@@ -38,17 +38,8 @@ class AllPairs(Exchange):
 @click.option("--distance", default=0.8, help="Of the jump, m.")
 def clearance(distance: float) -> None:
     """Rows and solver time of solo12-jump until it is clear: only what comes near, and all pairs."""
-    head(
-        "rows for",
-        "solve",
-        "rows",
-        "of bodies",
-        "iterations",
-        "solver [s]",
-        "build [s]",
-        "look [s]",
-        "least [mm]",
-    )
+    times = ("solver [s]", "build [s]", "look [s]")
+    head("rows for", "solve", "rows", "of bodies", "iterations", *times, "least [mm]")
     problem = trajopt.load("solo12-jump", distance=distance)
     for name, kind in (("what comes near", Exchange), ("all pairs", AllPairs)):
         exchange, solution = kind(problem), solve(problem, **GRID)

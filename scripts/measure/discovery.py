@@ -46,18 +46,8 @@ def speed_of(robot: str, relative: float) -> float:
 @click.option("--seeds", default=3, help="Relaxed motions of each.")
 def discovery(seeds: int) -> None:
     """Cost of the best schedule that is found over that of the library's own, and what it takes."""
-    head(
-        "problem",
-        "own cost",
-        "found cost",
-        "ratio",
-        "from",
-        "nearest gait",
-        "phases",
-        "candidates",
-        "solvers over own: time",
-        "iterations times variables",
-    )
+    best = ("found cost", "ratio", "from", "nearest gait", "phases", "candidates")
+    head("problem", "own cost", *best, "solvers over own: time", "iterations times variables")
     trots = [
         ("quadruped-trot", {"robot": robot, "speed": speed_of(robot, speed)})
         for robot in ("go2", "solo12")
@@ -83,17 +73,9 @@ def _row(label: str, found: Discovery, cost: float, own: tuple[float, float]) ->
     assert best.objective is not None
     assert best.modes is not None
     gait = nearest_gait(found.task, best.modes)
-    row(
-        label,
-        f"{cost:.4g}",
-        f"{best.objective:.4g}",
-        f"{best.objective / cost:.2f}",
-        best.source,
-        "" if gait is None else f"{gait[0]} ({100 * gait[1]:.0f} %)",
-        len(best.modes.modes),
-        count,
-        *ratios,
-    )
+    costs = f"{cost:.4g}", f"{best.objective:.4g}", f"{best.objective / cost:.2f}"
+    nearest = "" if gait is None else f"{gait[0]} ({100 * gait[1]:.0f} %)"
+    row(label, *costs, best.source, nearest, len(best.modes.modes), count, *ratios)
 
 
 @click.command("gaits-by-speed")
@@ -101,16 +83,8 @@ def _row(label: str, found: Discovery, cost: float, own: tuple[float, float]) ->
 @click.option("--figure", type=Path, help="Also draw it.")
 def gaits_by_speed(robot: str, figure: Path | None) -> None:
     """Cost of transport over speed, of the gait with the least torques that was found."""
-    head(
-        "speed over sqrt(g l)",
-        "Froude number",
-        "cost of transport",
-        "objective",
-        "gait",
-        "duty factors",
-        "from",
-        "next best",
-    )
+    gaits = ("cost of transport", "objective", "gait", "duty factors", "from", "next best")
+    head("speed over sqrt(g l)", "Froude number", *gaits)
     points = []
     for relative in GAIT_SPEEDS:
         problem = problems.load("quadruped-trot", robot=robot, speed=speed_of(robot, relative))
@@ -124,16 +98,10 @@ def gaits_by_speed(robot: str, figure: Path | None) -> None:
         duty = sorted(best.modes.duty().values())
         transport = [cost_of_transport(each.solution) for each in found.best[:2] if each.solution]
         points.append((relative, transport[0], gait[0]))
-        row(
-            relative,
-            f"{relative**2:.2g}",
-            f"{transport[0]:.3f}",
-            f"{best.objective:.3f}",
-            f"{gait[0]} ({100 * gait[1]:.0f} %)",
-            f"{duty[0]:.2f} to {duty[-1]:.2f}",
-            best.source,
-            f"{other[0].source}, {transport[1]:.3f}, {other[0].objective:.3f}" if other else "",
-        )
+        costs = f"{relative**2:.2g}", f"{transport[0]:.3f}", f"{best.objective:.3f}"
+        steps = f"{gait[0]} ({100 * gait[1]:.0f} %)", f"{duty[0]:.2f} to {duty[-1]:.2f}"
+        after = f"{other[0].source}, {transport[1]:.3f}, {other[0].objective:.3f}" if other else ""
+        row(relative, *costs, *steps, best.source, after)
     if figure is not None:
         _draw(points, robot, figure)
 
@@ -148,18 +116,12 @@ def _draw(points: list[tuple[float, float, str]], robot: str, path: Path) -> Non
     for gait in dict.fromkeys(point[2] for point in points):
         own = [point for point in points if point[2] == gait]
         axes.scatter([p[0] for p in own], [p[1] for p in own], label=gait, zorder=2)
-    for relative, label in (
-        (math.sqrt(0.5), "walk to trot, Fr 0.5"),
-        (math.sqrt(2.5), "trot to gallop, Fr 2.5"),
-    ):
+    for froude, gaits in ((0.5, "walk to trot"), (2.5, "trot to gallop")):
+        relative, label = math.sqrt(froude), f"{gaits}, Fr {froude}"
         axes.axvline(relative, color="0.6", linestyle="--", linewidth=0.8)
         axes.text(relative, axes.get_ylim()[1], f" {label}", fontsize=7, va="top", rotation=90, ha="right")
-    axes.set(
-        xlabel="speed over sqrt(g l)",
-        ylabel="cost of transport",
-        title=f"Gaits that were found, {robot}",
-        ylim=(0, None),
-    )
+    axes.set(xlabel="speed over sqrt(g l)", ylabel="cost of transport", ylim=(0, None))
+    axes.set_title(f"Gaits that were found, {robot}")
     axes.legend(frameon=False)
     figure.savefig(path)
 
@@ -188,9 +150,8 @@ def goals(count: int, seed: int) -> None:
             found = discover(task, seeds=3, most=4, max_time=15.0, jobs=None)
             results.append(found)
             if not found.best:
-                missed.append(
-                    f"{goal.x:.2f}, {goal.y:.2f} m" + (f", box {height:.2f} m" if box < 0.5 else "")
-                )
+                ahead = f", box {height:.2f} m" if box < 0.5 else ""
+                missed.append(f"{goal.x:.2f}, {goal.y:.2f} m{ahead}")
         solved = [each for each in results if each.best]
         relaxed = sum(each.best[0].source.startswith("relaxed") for each in solved)
         seconds = float(np.median([each.seconds for each in results]))

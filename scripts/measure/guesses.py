@@ -39,12 +39,6 @@ class Midway:
         places = [self.feet.pose(name, t).translation[:2] for name in self.feet.stances]
         return np.asarray(np.mean(places, axis=0))
 
-    def velocity(self, t: float) -> np.ndarray:
-        """Not used by a guess."""
-        raise NotImplementedError
-
-    acceleration = zmp_at = velocity
-
 
 @click.command()
 @click.option("--seeds", default=5, show_default=True, help="Perturbed starts.")
@@ -71,9 +65,8 @@ def jumps(solver: str) -> Iterator[tuple[str, str, Problem]]:
         problem = problems.load("solo12-jump", **values)
         yield name, "default", problem
         reduced = solve(body_problem(problem), solver=solver)
-        note = (
-            f"one body ({reduced.statistics.iterations} iterations, {reduced.statistics.wall_time_s:.2f} s)"
-        )
+        found = reduced.statistics
+        note = f"one body ({found.iterations} iterations, {found.wall_time_s:.2f} s)"
         yield name, note, replace(problem, guess=guess_from_srb(problem, reduced))
         yield name, "standing still", standing_still(problem)
 

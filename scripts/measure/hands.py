@@ -29,13 +29,8 @@ def hands() -> None:
         problem = problems.load(name, robot=robot)
         solution = trajopt.solve(problem, max_time=MAX_TIME)
         objective = f"{solution.statistics.objective:.4f}" if solution.success else "not solved"
-        row(
-            name,
-            robot,
-            objective,
-            sum(each.iterations for each in solution.statistics.rounds),
-            _without(problem),
-        )
+        iterations = sum(each.iterations for each in solution.statistics.rounds)
+        row(name, robot, objective, iterations, _without(problem))
 
 
 def _without(problem: Problem) -> str:

@@ -33,20 +33,10 @@ def infeasible(max_time: float) -> None:
             solve_graded(problems.load(name, **fixed, **{parameter: value}), max_time=max_time)
             for value in (bad, good)
         )
-        title = named(name, fixed)
         iterations = sum(one.iterations for one in found.rounds)
-        times = found.spent, partner.spent
-        row(
-            title,
-            f"{parameter}={bad:g}",
-            _verdict(found),
-            iterations,
-            f"{times[0]:.2f}",
-            f"{parameter}={good:g}",
-            _verdict(partner),
-            f"{times[1]:.2f}",
-            f"{times[0] / times[1]:.1f}",
-        )
+        failed = f"{parameter}={bad:g}", _verdict(found), iterations, f"{found.spent:.2f}"
+        solved = f"{parameter}={good:g}", _verdict(partner), f"{partner.spent:.2f}"
+        row(named(name, fixed), *failed, *solved, f"{found.spent / partner.spent:.1f}")
 
 
 def _verdict(found: Graded) -> str:

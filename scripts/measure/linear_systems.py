@@ -28,45 +28,26 @@ GROWING = ("ur5-reach", "hopper-hop", "solo12-jump")
 INTERVALS = (25, 50, 100, 200, 400, 800)
 
 
-repeats_option = click.option("--repeats", default=5, help="Solves of each case with each.")
-
-
 @click.command("linear-systems")
-@repeats_option
+@click.option("--repeats", default=5, help="Solves of each case with each.")
 def linear_systems(repeats: int) -> None:
     """Iterations and their median wall time, functions included, of one mesh each, with MUMPS and stages."""
     head("problem, mesh", "iterations", "MUMPS [ms]", "iterations", "stages [ms]", "ratio")
     for name, values, scheme, intervals in CASES:
         problem = problems.load(name, **values)
-        times, iterations = in_turns(
-            problem, scheme, intervals, repeats, [{"options": {LINEAR_SOLVER: solver}} for solver in SOLVERS]
-        )
-        row(
-            _label(name, values, scheme, intervals),
-            iterations[0],
-            f"{times[0]:.1f}",
-            iterations[1],
-            f"{times[1]:.1f}",
-            f"{times[1] / times[0]:.2f}",
-        )
+        ways = [{"options": {LINEAR_SOLVER: solver}} for solver in SOLVERS]
+        times, iterations = in_turns(problem, scheme, intervals, repeats, ways)
+        mesh = f", {scheme}@{intervals}" if scheme else ""
+        pairs = [cell for n, ms in zip(iterations, times, strict=True) for cell in (n, f"{ms:.1f}")]
+        row(named(name, values) + mesh, *pairs, f"{times[1] / times[0]:.2f}")
 
 
 @click.command("scaling")
 @click.option("--starts", default=5, help="From the guess and perturbed ones, of each mesh.")
 def scaling(starts: int) -> None:
     """Finer meshes: iterations, time of one with one thread and with two, to build, and of the verdict."""
-    head(
-        "problem",
-        "intervals a phase",
-        "variables",
-        "iterations: guess, median",
-        "not solved",
-        "iteration [ms]",
-        "with two threads",
-        "solve [s]",
-        "build [s]",
-        "verdict [s]",
-    )
+    times = ("iteration [ms]", "with two threads", "solve [s]", "build [s]", "verdict [s]")
+    head("problem", "intervals a phase", "variables", "iterations: guess, median", "not solved", *times)
     for name in GROWING:
         problem, measured = problems.load(name), []
         for intervals in INTERVALS:
@@ -74,12 +55,9 @@ def scaling(starts: int) -> None:
                 prepare(problem, transcription="legendre:2", intervals=intervals, threads=threads)
                 for threads in (1, 2)
             )
-            guesses = [
-                one.guess,
-                *(perturbed(one.transcription, one.guess, k, NOISE) for k in range(1, starts)),
-            ]
+            others = (perturbed(one.transcription, one.guess, k, NOISE) for k in range(1, starts))
             results, ratios = [], []
-            for guess in guesses:
+            for guess in (one.guess, *others):
                 results.append(timed(one, guess).result)
                 ratios.append(timed(two, guess).result.wall_time / results[-1].wall_time)
             solved = [result for result in results if result.status is Status.SOLVED]
@@ -87,25 +65,13 @@ def scaling(starts: int) -> None:
             iteration = median([result.wall_time / result.iterations for result in results])
             whole = median([result.wall_time for result in solved])
             measured.append((iteration, whole, one.build_time, verdict or np.nan))
-            row(
-                name,
-                intervals,
-                len(one.guess),
-                f"{results[0].iterations}, {median([result.iterations for result in solved]):.0f}",
-                len(results) - len(solved),
-                f"{1e3 * iteration:.1f}",
-                f"{median(ratios):.2f}",
-                *(f"{seconds:.2f}" for seconds in measured[-1][1:]),
-            )
+            counts = f"{results[0].iterations}, {median([result.iterations for result in solved]):.0f}"
+            shares = f"{1e3 * iteration:.1f}", f"{median(ratios):.2f}"
+            rest = (f"{seconds:.2f}" for seconds in measured[-1][1:])
+            row(name, intervals, len(one.guess), counts, len(results) - len(solved), *shares, *rest)
         powers = np.polyfit(np.log(INTERVALS), np.log(measured), 1)[0]
         grows, *more = (f"N^{power:.2f}" for power in powers)
         row(name, "grows as", "", "", "", grows, "", *more)
-
-
-def _label(name: str, values: dict[str, Any], scheme: str | None, intervals: int | None) -> str:
-    """A case and its mesh."""
-    mesh = f", {scheme}@{intervals}" if scheme else ""
-    return named(name, values) + mesh
 
 
 def in_turns(

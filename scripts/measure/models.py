@@ -175,16 +175,8 @@ def transfers() -> None:
         )
         mesh = f"`{found.statistics.transcription}`, {found.n_intervals}"
         figures = (" ".join(f"{share:.2f}" for share in each) for each in shares)
-        row(
-            goal,
-            f"{payload:g} kg",
-            inertia,
-            mesh,
-            _counts([found]),
-            f"{found.t[-1]:.3f} s",
-            *figures,
-            verdict(found),
-        )
+        case = goal, f"{payload:g} kg", inertia
+        row(*case, mesh, _counts([found]), f"{found.t[-1]:.3f} s", *figures, verdict(found))
 
 
 def with_rest(problem: Problem, rest: float) -> Problem:

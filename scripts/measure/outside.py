@@ -15,13 +15,6 @@ def outside() -> None:
     """A line for each problem of `trajopt bench outside`."""
     head("problem", "quantity", "published", "found", "apart", "intervals", "iterations", "solver", "source")
     for one in compared(published_optima()):
-        row(
-            *(
-                one.name,
-                one.quantity,
-                f"{one.published:.7g}",
-                f"{one.found:.7g}",
-                f"{one.apart:+.0e}" if abs(one.apart) > ROUNDING else "0",
-            ),
-            *(one.intervals, one.iterations, f"{1e3 * one.seconds:.0f} ms", one.source),
-        )
+        apart = f"{one.apart:+.0e}" if abs(one.apart) > ROUNDING else "0"
+        values = one.name, one.quantity, f"{one.published:.7g}", f"{one.found:.7g}", apart
+        row(*values, one.intervals, one.iterations, f"{1e3 * one.seconds:.0f} ms", one.source)

@@ -92,6 +92,5 @@ def _how(report: SimulationReport) -> str:
     if report.fell:
         return f"fell at {report.fall_time:.2f} s"
     ends = max(report.base_error_end or 0.0, report.base_error_held or 0.0)
-    return f"{1e3 * ends:.0f} mm" + (
-        "" if ends > report.reach / 20 else f" and {report.base_turn_end:.2f} rad"
-    )
+    turn = "" if ends > report.reach / 20 else f" and {report.base_turn_end:.2f} rad"
+    return f"{1e3 * ends:.0f} mm{turn}"

@@ -66,9 +66,8 @@ def usual_speed(robot: Robot) -> float:
 def impulse(robot: Robot, direction: float, size: float, time: float) -> Impulse:
     """A level impulse at ``time`` s to a direction in rad, natural units."""
     units = NaturalUnits.of(robot.model)
-    return Impulse(
-        direction=direction, size=size * units.weight * units.time, time=time, duration=0.1 * units.time
-    )
+    size *= units.weight * units.time
+    return Impulse(direction=direction, size=size, time=time, duration=0.1 * units.time)
 
 
 def random_pushes(robot: Robot, size: float, seconds: float, seed: int) -> tuple[Impulse, ...]:
@@ -88,15 +87,9 @@ def survived(
     lasts: float,
     make: Callable[[], Controller],
 ) -> float:
-    """The largest of rising impulses before the first fall, natural units, at a usual speed.
+    """The largest of rising impulses at ``time`` s before the first fall, natural units, at a usual speed.
 
-    Args:
-        robot: the robot.
-        degrees: direction of the impulses.
-        sizes: natural units.
-        time: of the impulse, s.
-        lasts: s that are driven.
-        make: a new controller for each drive.
+    A drive lasts ``lasts`` s, with a new controller that ``make`` returns.
     """
     best = 0.0
     for size in sizes:
@@ -111,19 +104,12 @@ def survived(
 def cells(run: DrivenMotion) -> list[str]:
     """Whether it fell, errors of commands, and times."""
     report, errors = run.report, run.report.mean_errors
-    tracked = (
-        ["", "", ""]
-        if errors is None
-        else [f"{e:.3f}" for e in (errors.speed, errors.lateral, errors.turn_rate)]
-    )
-    plan = report.plan_times
-    return [
-        f"fell at {report.fall_time:.1f} s" if report.fell else "no",
-        *tracked,
-        f"{1e3 * plan.median:.1f}",
-        f"{1e3 * plan.p99:.1f}",
-        str(report.begun_anew),
-    ]
+    tracked = ["", "", ""]
+    if errors is not None:
+        tracked = [f"{e:.3f}" for e in (errors.speed, errors.lateral, errors.turn_rate)]
+    times = (f"{1e3 * time:.1f}" for time in (report.plan_times.median, report.plan_times.p99))
+    fell = f"fell at {report.fall_time:.1f} s" if report.fell else "no"
+    return [fell, *tracked, *times, str(report.begun_anew)]
 
 
 TITLES = ("fell", "speed, m/s", "lateral, m/s", "turn, rad/s", "plan, ms", "99 %, ms", "begun anew")

@@ -58,11 +58,11 @@ def _disturbed(name: str, given: dict[str, Any], seconds: float, push: float) ->
 @names_option
 @click.option("--seconds", default=10.0, show_default=True, help="Of each drive.")
 def carried(names: str, seconds: float) -> None:
-    """Random commands with a mass on the base, of which the controller knows nothing, or is told.
+    """Random commands with a mass on the base, that the controller does not know, or knows.
 
     It is 0.3 and 0.5 of the robot's, at 0.1, 0.1, 0.3 of its length from the base.
     """
-    head("robot", "mass", "told", *TITLES[:4], "sags by, mm")
+    head("robot", "mass", "known", *TITLES[:4], "sags by, mm")
     for name in names.split(","):
         robot = robots.load(name)
         script, place = random_walk(robot, "trot", seconds, 0), robot.length * np.array([0.1, 0.1, 0.3])
@@ -70,13 +70,13 @@ def carried(names: str, seconds: float) -> None:
         for part in (0.3, 0.5):
             mass = part * robot.weight / gravity_of(robot.model)
             loaded = replace(robot, model=carrying(robot.model, payload_numbers(mass, place)))
-            for told in (False, True):
+            for known in (False, True):
                 controller = Controller(robot)
-                if told:
+                if known:
                     controller.carry(mass, place)
                 run = drive(loaded, script, duration=seconds, controller=controller)
                 sags = 1e3 * (usual - run.record.qpos[:, 2].mean())
-                row(name, str(part), "yes" if told else "no", *cells(run)[:4], f"{sags:.1f}")
+                row(name, str(part), "yes" if known else "no", *cells(run)[:4], f"{sags:.1f}")
 
 
 @click.command("rough")
@@ -84,7 +84,7 @@ def carried(names: str, seconds: float) -> None:
 @seeds_option
 @click.option("--fixed", is_flag=True, help="Durations are those of the gait.")
 def rough(names: str, seeds: int, fixed: bool) -> None:
-    """Way in m over ground that the planner is not told of; swings are 0.4 of the leg high."""
+    """Way in m over ground that the planner does not know; swings are 0.4 of the leg high."""
     settings = ControllerSettings(lift=0.4, planner=PlannerSettings(timing=0.0 if fixed else None))
     head("robot", "gait", "slope 10 degrees", *(f"boxes, seed {seed}" for seed in range(seeds)))
     for name in names.split(","):
@@ -92,14 +92,9 @@ def rough(names: str, seeds: int, fixed: bool) -> None:
         for gait in ("walk", "trot"):
             speed = (0.2 if gait == "walk" else 0.3) * math.sqrt(gravity_of(robot.model) * robot.length)
             grounds = [slope_ahead(10.0), *(boxes_ahead(robot, 0.1, seed) for seed in range(seeds))]
+            script, duration = straight(gait, speed), START + 4.0 / speed
             runs = [
-                drive(
-                    robot,
-                    straight(gait, speed),
-                    duration=START + 4.0 / speed,
-                    ground=ground,
-                    settings=settings,
-                )
+                drive(robot, script, duration=duration, ground=ground, settings=settings)
                 for ground in grounds
             ]
             row(name, gait, *(f"{run.record.qpos[-1, 0]:.1f}{', fell' * run.report.fell}" for run in runs))

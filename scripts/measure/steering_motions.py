@@ -1,4 +1,4 @@
-"""Finite motions of which what is left is planned anew at each tick, beside the tracker (docs/mpc.md)."""
+"""Finite motions whose rest is replanned at each tick, beside the tracker (docs/mpc.md)."""
 
 import math
 
@@ -28,9 +28,9 @@ MOTIONS = (
 @click.command("replanned")
 @click.option("--push", default=0.2, show_default=True, help="Impulse, natural units.")
 def replanned(push: float) -> None:
-    """Finite motions by the tracker, and planned anew: where the base ends from the plan, mm."""
+    """Finite motions by the tracker, and replanned: final error of the base, mm."""
     cases = ("as planned", "mass 1.2", "friction 0.7", "pushed forward", "pushed left")
-    head("motion", "robot", *(f"{case}: tracked, planned anew" for case in cases), "plan, ms", "99 %, ms")
+    head("motion", "robot", *(f"{case}: tracked, replanned" for case in cases), "plan, ms", "99 %, ms")
     for name, word in MOTIONS:
         problem = trajopt.load(name) if name.startswith(word) else trajopt.load(name, robot=word)
         plan, times = trajopt.solve(problem), []

@@ -9,7 +9,6 @@ from typing import Any
 import click
 
 from scripts.measure.shared import head, row
-from trajopt import Solution
 
 Pair = dict[str, Any]
 LEGGED = ("solo12", "go2", "anymal_c", "a1", "hyq", "talos", "g1", "bolt", "talos_arms", "g1_arms")
@@ -47,32 +46,6 @@ def library(graded: Path) -> None:
     for problem, group in groupby(pairs(graded), key=lambda pair: pair["problem"]):
         own = ((each["robot"], each["own"]["iterations"], each["own"]["meshes"]) for each in group)
         row(f"`{problem}`", ", ".join(f"{robot} {count} ({meshes})" for robot, count, meshes in own))
-
-
-@click.command()
-@click.argument("graded", type=folder)
-@click.option("--slowest", default=10, show_default=True, help="Pairs that are listed one by one.")
-def rounds(graded: Path, slowest: int) -> None:
-    """What the rounds of refinement cost, from the solution files of a run."""
-    known = {path.stem: Solution.load(path).statistics for path in sorted(graded.glob("*.npz"))}
-    spent = {name: sum(each.wall_time_s for each in own.rounds) for name, own in known.items()}
-    last = {name: own.rounds[-1].wall_time_s for name, own in known.items()}
-    later = [each.iterations for own in known.values() for each in own.rounds[1:]]
-    over = [spent[name] / last[name] for name in known]
-    examined = sum(own.graded.examined_s for own in known.values() if own.graded)
-    head(f"{len(known)} pairs", "")
-    row("solver, all rounds", f"{sum(spent.values()):.0f} s")
-    row("solver, last solves alone", f"{sum(last.values()):.0f} s")
-    row("examination", f"{examined:.0f} s")
-    row(
-        "pairs above 3, above 6 times their last solve",
-        ", ".join(str(sum(x > y for x in over)) for y in (3, 6)),
-    )
-    row("iterations of rounds after the first, median, worst", f"{median(later):g}, {max(later)}")
-    click.echo()
-    head("pair", "s", "iterations by round")
-    for name in sorted(known, key=lambda name: -spent[name])[:slowest]:
-        row(f"`{name}`", f"{spent[name]:.1f}", ", ".join(str(each.iterations) for each in known[name].rounds))
 
 
 @click.command()

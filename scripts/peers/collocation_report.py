@@ -101,18 +101,12 @@ def read_csv(path: Path) -> list[Measured]:
     with path.open(encoding="utf-8", newline="") as stream:
         return [
             Measured(
-                task=row["task"],
-                side=row["side"],
-                method=row["method"],
+                **{name: row[name] for name in COLUMNS[:3]},
                 intervals=int(row["intervals"]),
                 solved=row["solved"] == "1",
                 build=float(row["build_s"]),
-                seconds=[float(value) for value in row["seconds"].split()],
-                processor=[float(value) for value in row["processor"].split()],
-                along=float(row["along"]),
-                end=float(row["end"]),
-                objective=float(row["objective"]),
-                beyond=float(row["beyond"]),
+                **{name: [float(time) for time in row[name].split()] for name in COLUMNS[6:8]},
+                **{name: float(row[name]) for name in COLUMNS[8:]},
             )
             for row in csv.DictReader(stream)
         ]

@@ -59,9 +59,7 @@ def adopt(task: Task, described: dict[str, Any]) -> None:
     model = _model(robot)
     masses = [inertia.mass for inertia in model.inertias]
     if not np.allclose(masses, described["masses"], rtol=0, atol=SAME):
-        raise SystemExit(
-            f"{robot} is not the same robot on both sides: masses {masses}, {described['masses']}"
-        )
+        raise SystemExit(f"{robot} differs between the sides: masses {masses}, {described['masses']}")
     posture = np.array(described["posture"])
     if robot == "anymal_b":
         if not np.allclose(model.referenceConfigurations["standing"][7:], posture[7:], rtol=0, atol=SAME):
@@ -88,9 +86,8 @@ def build(task: Task, step: float) -> crocoddyl.ShootingProblem:
     gait, start = SimpleQuadrupedalGaitProblem(_model(robot_of(task)), *feet), start_of(task)
     if isinstance(task, Gait):
         create = getattr(gait, f"create{KINDS[task.name]}Problem")
-        return create(
-            start, task.length, task.height, step, round(task.step / step), round(task.support / step)
-        )
+        knots = round(task.step / step), round(task.support / step)
+        return create(start, task.length, task.height, step, *knots)
     ground, up = round(task.ground / step), round(task.flight / 2 / step)
     return gait.createJumpingProblem(start, task.height, list(task.distance), step, ground, up)
 
@@ -105,13 +102,8 @@ def solve(problem: crocoddyl.ShootingProblem, solver: str, threads: int, most: i
     begun = time.perf_counter()
     converged = own.solve(xs, us, most, False)
     seconds = time.perf_counter() - begun
-    return Solved(
-        seconds=seconds,
-        iterations=own.iter,
-        converged=bool(converged),
-        xs=[x.copy() for x in own.xs],
-        us=[u.copy() for u in own.us],
-    )
+    xs, us = ([value.copy() for value in values] for values in (own.xs, own.us))
+    return Solved(seconds=seconds, iterations=own.iter, converged=bool(converged), xs=xs, us=us)
 
 
 def errors(problem: crocoddyl.ShootingProblem, solved: Solved) -> dict[str, float]:

@@ -180,9 +180,8 @@ def solve(method: str, intervals: int) -> dict[str, Any]:
         solved = problem.driver.solve()
     read = {name: problem.get_val(f"traj.phase.timeseries.{name}")[:, 0] for name in ("time", "f", *STATES)}
     states = np.column_stack([read[name] for name in STATES])
-    slopes = np.column_stack(
-        [problem.get_val(f"traj.phase.timeseries.{rate}")[:, 0] for rate, _ in STATES.values()]
-    )
+    rates = (problem.get_val(f"traj.phase.timeseries.{rate}")[:, 0] for rate, _ in STATES.values())
+    slopes = np.column_stack(list(rates))
     breaks, inputs, told = [0.0], [], [states[:1]]
     for low, high in phase.options["transcription"].grid_data.segment_indices:
         ends, x = [low, high - 1], states[low:high]
@@ -194,15 +193,8 @@ def solve(method: str, intervals: int) -> dict[str, Any]:
         told.append((BarycentricInterpolator(part, x) if method == "Radau" else hermite)(TOLD))
         breaks.append(end)
     edges = np.array(breaks)
-    return plan(
-        build=built,
-        watch=watch,
-        solved=solved,
-        breaks=edges,
-        inputs=inputs,
-        times=times_told(edges),
-        states=np.vstack(told),
-    )
+    given = {"build": built, "watch": watch, "solved": solved, "breaks": edges, "inputs": inputs}
+    return plan(**given, times=times_told(edges), states=np.vstack(told))
 
 
 if __name__ == "__main__":

@@ -79,9 +79,7 @@ def _errors(task: dict[str, Any], plan: dict[str, Any], states: np.ndarray) -> I
         rows = np.array(plan["inputs"][number])
         parts = (begin - low) / (high - low), (end - low) / (high - low)
 
-        def slope(
-            part: float, x: np.ndarray, step: float = high - low, rows: np.ndarray = rows
-        ) -> np.ndarray:
+        def slope(part: float, x: np.ndarray, step: float = high - low, rows: Any = rows) -> np.ndarray:
             torque = part ** np.arange(len(rows)) @ rows
             return step * np.concatenate([x[n:], acceleration(x[:n], x[n:], torque)])
 

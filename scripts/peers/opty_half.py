@@ -85,17 +85,9 @@ def transcribed(form: str, rule: str, intervals: int) -> tuple[Problem, np.ndarr
         cost = create_objective_function(
             sm.Integral(U**2, T), states, (U,), (), count, step, time_symbol=T, integration_method=rule
         )
-        problem = Problem(
-            *cost,
-            sm.Matrix(EQUATIONS[form]),
-            states,
-            count,
-            step,
-            instance_constraints=tuple(ends),
-            bounds=bounds,
-            time_symbol=T,
-            integration_method=rule,
-        )
+        rest = {"instance_constraints": tuple(ends), "bounds": bounds}
+        rest |= {"time_symbol": T, "integration_method": rule}
+        problem = Problem(*cost, sm.Matrix(EQUATIONS[form]), states, count, step, **rest)
         for name, value in OPTIONS.items():
             problem.add_option(name, value)
     return problem, np.concatenate([*guess, GRAVITY * np.cos(phi)]), watch.seconds

@@ -39,9 +39,8 @@ def build(task: Task) -> Problem:
         return _gait(task)
     if task.robot == "solo12":
         times = {"stance": task.ground, "flight": task.flight, "landing": task.ground}
-        return problems.load(
-            "solo12-jump", distance=task.distance[0], torque_limit=task.torque_limit, **times
-        )
+        times |= {"distance": task.distance[0], "torque_limit": task.torque_limit}
+        return problems.load("solo12-jump", **times)
     return _jump(task)
 
 
@@ -131,14 +130,5 @@ def _problem(
         WrenchCost(weight=1e-2),
         StateCost(weight=1.0, posture=robot.reference, path=guess),
     )
-    return common.problem(
-        f"crocoddyl-{task.name}",
-        robot,
-        schedule,
-        guess,
-        costs=costs,
-        terrain=FlatGround(friction=FRICTION),
-        clearance=clearance,
-        more=more,
-        end=(),
-    )
+    given = {"terrain": FlatGround(friction=FRICTION), "clearance": clearance, "more": more, "end": ()}
+    return common.problem(f"crocoddyl-{task.name}", robot, schedule, guess, costs=costs, **given)

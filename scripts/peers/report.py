@@ -100,17 +100,8 @@ def _two_threads(found: Sequence[Measured], task: str) -> str:
 
 def summary(found: Sequence[Measured], tasks: Sequence[str]) -> Iterator[str]:
     """One line a task: Crocoddyl's example, ours at a hundredth of its error, and the ratio of times."""
-    side = "[s]", "iterations", "error [m]"
-    titles = (
-        "task",
-        f"Crocoddyl {side[0]}",
-        *side[1:],
-        "ours",
-        *side,
-        "ratio",
-        "of least times",
-        "two threads each",
-    )
+    figures, ratios = ("iterations", "error [m]"), ("ratio", "of least times", "two threads each")
+    titles = ("task", "Crocoddyl [s]", *figures, "ours", "[s]", *figures, *ratios)
     return table(titles, (_beside_example(found, task) for task in tasks))
 
 
@@ -150,19 +141,8 @@ def write_csv(found: Sequence[Measured], path: Path) -> None:
         for m in found:
             s, times = m.setting, " ".join(f"{value:.5f}" for value in m.seconds)
             errors = (f"{value:.4g}" for value in (m.end, m.largest, m.torque))
-            writer.writerow(
-                [
-                    s.task,
-                    s.side,
-                    s.method,
-                    f"{s.size:g}",
-                    s.detail,
-                    times,
-                    m.iterations,
-                    int(m.solved),
-                    *errors,
-                ]
-            )
+            setting = s.task, s.side, s.method, f"{s.size:g}", s.detail
+            writer.writerow([*setting, times, m.iterations, int(m.solved), *errors])
 
 
 def read_csv(path: Path) -> list[Measured]:
@@ -170,9 +150,7 @@ def read_csv(path: Path) -> list[Measured]:
     with path.open(encoding="utf-8", newline="") as stream:
         return [
             Measured(
-                setting=Setting(
-                    **{name: row[name] for name in COLUMNS[:3]}, size=float(row["size"]), detail=row["detail"]
-                ),
+                setting=Setting(**{name: row[name] for name in COLUMNS[:5]} | {"size": float(row["size"])}),
                 seconds=[float(value) for value in row["seconds"].split()],
                 iterations=int(row["iterations"]),
                 solved=row["solved"] == "1",
@@ -214,9 +192,8 @@ def _panel(axes: Any, found: Sequence[Measured], task: str) -> None:
         known = _known(_of(found, task=task, side=CROCODDYL, method=method, detail="1"))
         _curve(axes, known, THEIRS, marker, f"Crocoddyl, {method}", "{:g} ms")
     axes.axhline(PART * example(found, task).end, color=THEIRS, linewidth=0.8, linestyle=":")
-    axes.set(
-        xscale="log", yscale="log", title=task, xlabel="time of a solve [s]", ylabel="base off the plan [m]"
-    )
+    axes.set(xscale="log", yscale="log", title=task)
+    axes.set(xlabel="time of a solve [s]", ylabel="base off the plan [m]")
     axes.grid(which="both", alpha=0.25, linewidth=0.5)
     axes.margins(0.2, 0.12)
 
@@ -230,7 +207,5 @@ def _curve(axes: Any, known: Sequence[Measured], colour: str, marker: str, label
     x, y = [m.median for m in known], [m.largest for m in known]
     axes.plot(x, y, color=colour, marker=marker, markersize=4.5, linewidth=1.0, label=label)
     for m in known:
-        text = sizes.format(m.setting.size)
-        axes.annotate(
-            text, (m.median, m.largest), (4, 3), textcoords="offset points", fontsize=6.5, color=colour
-        )
+        place, look = (m.median, m.largest), {"fontsize": 6.5, "color": colour}
+        axes.annotate(sizes.format(m.setting.size), place, (4, 3), textcoords="offset points", **look)

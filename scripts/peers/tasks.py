@@ -47,24 +47,12 @@ class Jump:
 
 Task = Gait | Jump
 
+WALK, BOUND = ((("RH",), ("RF",)), (("LH",), ("LF",))), ((("LF", "RF"),), (("LH", "RH"),))
 GAITS = (
-    Gait(
-        name="walk",
-        length=0.25,
-        height=0.15,
-        blocks=((("RH",), ("RF",)), (("LH",), ("LF",))),
-        support=2 * KNOT,
-    ),
+    Gait(name="walk", length=0.25, height=0.15, blocks=WALK, support=2 * KNOT),
     Gait(name="trot", length=0.15, height=0.1, blocks=((("RF", "LH"),), (("LF", "RH"),)), support=2 * KNOT),
     Gait(name="pace", length=0.15, height=0.1, blocks=((("RF", "RH"),), (("LF", "LH"),)), support=5 * KNOT),
-    Gait(
-        name="bound",
-        length=0.15,
-        height=0.1,
-        blocks=((("LF", "RF"),), (("LH", "RH"),)),
-        support=5 * KNOT,
-        first=1.0,
-    ),
+    Gait(name="bound", length=0.15, height=0.1, blocks=BOUND, support=5 * KNOT, first=1.0),
 )
 ANYMAL_JUMP = Jump(name="jump", height=0.15, distance=(0.0, 0.3, 0.0), ground=10 * KNOT, flight=40 * KNOT)
 # The rise is that of a ballistic flight; 2.7 N m is what the actuators can do (Grimminger et al., "An open

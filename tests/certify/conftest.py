@@ -3,8 +3,7 @@
 import pytest
 
 from tests.support.synthetic_motions import arm_motion, pushing_off, sampled, standing, tumbling_flight
-from trajopt.motion.solution import Solution
-from trajopt.robot.robot import Robot
+from trajopt import Robot, Solution
 from trajopt_library import robots
 
 INTERVALS = 20

@@ -19,17 +19,15 @@ from tests.support.synthetic_motions import (
     standing,
     tumbling_flight,
 )
-from trajopt.certify.accuracy.measures import interval_errors, measure
-from trajopt.certify.accuracy.table import accuracy_table
-from trajopt.certify.contact.impact import impact
+from trajopt import InputError, Robot, Solution
+from trajopt.certify import impact
+from trajopt.certify.accuracy import interval_errors, measure
 from trajopt.certify.reintegration import active_contacts
-from trajopt.errors import InputError, SolutionFileError
+from trajopt.errors import SolutionFileError
 from trajopt.motion.description import CarriedBody, PlannedContact
 from trajopt.motion.quantities import MotionQuantities
-from trajopt.motion.solution import Solution
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.robot.payload import loaded_model
-from trajopt.robot.robot import Robot
 from trajopt.transcription.mesh import Mesh, PhaseMesh
 from trajopt_library import problems, robots
 
@@ -226,7 +224,7 @@ def test_torque_that_runs_away_is_infinite_and_null_in_json():
 def test_measure_reads_files_and_refuses_what_is_wrong(tmp_path):
     path = two_phases().save(tmp_path / "plan.npz")
     assert_allclose(interval_errors(path), interval_errors(two_phases()))
-    assert "whole motion" in accuracy_table(measure(path, path))
+    assert "whole motion" in measure(path, path).table()
     with pytest.raises(SolutionFileError, match="does not exist"):
         measure(tmp_path / "none.npz")
     q = two_phases().q.copy()

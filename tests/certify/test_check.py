@@ -9,11 +9,9 @@ import pinocchio as pin
 import pytest
 
 from tests.support.synthetic_motions import planar_flight, pushing_off, sampled, tumbling_flight, with_meta
-from trajopt.certify.check import check
+from trajopt import InputError, Robot, Solution, check
 from trajopt.certify.report import FIGURES, OPEN_LOOP, Tolerances
-from trajopt.errors import InputError, SolutionFileError
-from trajopt.motion.solution import Solution
-from trajopt.robot.robot import Robot
+from trajopt.errors import SolutionFileError
 from trajopt_library import robots
 
 INTERVALS = 20

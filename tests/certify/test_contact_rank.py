@@ -8,17 +8,12 @@ import pytest
 
 from tests.support.contact_cases import FEET, INDEPENDENT, Case, body, close, independent, vanishes
 from tests.support.models import robot
-from trajopt.certify.contact.contact_dynamics import (
-    ContactDynamics,
-    actuated_force,
-    forward_dynamics,
-    rows_with_actuator,
-)
-from trajopt.certify.contact.contact_set import ContactSet, contact_kinematics
-from trajopt.dynamics.model_quantities import contact_jacobian
-from trajopt.errors import InputError
-from trajopt.robot.contact import Contact
-from trajopt.robot.data import robot_file
+from trajopt import Contact, InputError
+from trajopt.certify import ContactSet, actuated_force, forward_dynamics
+from trajopt.certify.contact.contact_dynamics import ContactDynamics, rows_with_actuator
+from trajopt.certify.contact.contact_set import contact_kinematics
+from trajopt.dynamics import contact_jacobian
+from trajopt.robot import robot_file
 from trajopt_library.lessons.contact_projection import (
     consistent_projector,
     least_norm_inverse_dynamics,

@@ -1,12 +1,17 @@
-"""The command ``trajopt drive``: exit status, JSON, a file that others read, one line for bad input."""
+"""``trajopt drive``, ``simulate`` and ``discover``: exit status, JSON, files, one line for bad input."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from click.testing import Result
 
 from tests.support.command_lines import assert_refused, invoke
-from trajopt import Solution
+from tests.support.synthetic_motions import sampled, standing
+from trajopt import Schedule, Solution
+from trajopt_library import robots
 
 pytestmark = pytest.mark.long
 
@@ -148,3 +153,157 @@ def test_targets_that_do_not_fit_are_one_line(text, line, tmp_path):
 )
 def test_bad_input_ends_with_two_and_one_line(arguments, line, script):
     assert_refused(invoke("drive", *[script if word == "CSV" else word for word in arguments]), line)
+
+
+@pytest.fixture(scope="module")
+def stand(tmp_path_factory) -> Path:
+    robot = robots.load("solo12")
+    return sampled(robot, [standing(robot, 0.1)], 4).save(tmp_path_factory.mktemp("plan") / "stand.npz")
+
+
+@pytest.fixture(scope="module")
+def limp(stand: Path) -> Path:
+    """The same posture without torques."""
+    plan = Solution.load(stand)
+    return replace(plan, tau=np.zeros_like(plan.tau)).save(stand.parent / "limp.npz")
+
+
+def simulated(*arguments: object) -> Result:
+    return invoke("simulate", *arguments)
+
+
+def test_tracked_plan_ends_with_zero_and_says_so(stand):
+    result = simulated(stand)
+    assert result.exit_code == 0
+    assert result.output.splitlines()[-1] == "tracked"
+
+
+def test_robot_that_falls_ends_with_one_and_the_reason(limp):
+    result = simulated(limp, "--kp", 0, "--kd", 0)
+    assert result.exit_code == 1
+    assert result.output.splitlines()[-1].startswith("not tracked: ")
+
+
+def test_json_of_simulate_is_one_object_with_the_figures_of_the_report(stand):
+    result = simulated(stand, "--json")
+    figures = json.loads(result.output)
+    assert figures["passed"] is True
+    assert figures["fell"] is False
+    assert figures["base_error_end"] < 1e-3
+    assert [contact["frame"] for contact in figures["contacts"]] == Solution.load(stand).meta[
+        "contact_frames"
+    ]
+
+
+def test_simulated_motion_is_written_as_a_solution_file(stand, tmp_path):
+    target = tmp_path / "simulated.npz"
+    assert simulated(stand, "-o", target).exit_code == 0
+    assert Solution.load(target).statistics.simulated is True
+
+
+def test_page_shows_plan_and_simulation(stand, tmp_path):
+    target = tmp_path / "both.html"
+    assert simulated(stand, "--html", target).exit_code == 0
+    page = target.read_text()
+    assert "plan" in page
+    assert "simulation" in page
+    assert page.count("<html") == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["missing.npz"], "missing.npz does not exist"),
+        (
+            ["PLAN", "--kp", "-1"],
+            "kp of SimulationSettings is -1.0; allowed: a finite number from 0 to 1e+06",
+        ),
+        (["PLAN", "--cycles", "0"], "cycles of SimulationSettings is 0; allowed: a whole number >= 1"),
+        (["PLAN", "--cycles", "2"], "the solution is not periodic; allowed: --cycles 1"),
+        (["PLAN", "-o", "PLAN"], "is an input file"),
+        (["PLAN", "-o", "x.npz", "--html", "./x.npz"], "x.npz is written twice"),
+        (["PLAN", "--noise", "a lot"], "Invalid value for '--noise'"),
+        (["PLAN", "-o", "/no/such/folder/x.npz"], "cannot write /no/such/folder/x.npz"),
+        (["PLAN", "--html", "/no/such/folder/x.html"], "cannot write /no/such/folder/x.html"),
+    ],
+)
+def test_bad_input_of_simulate_ends_with_two_and_one_line(arguments, line, stand):
+    assert_refused(simulated(*[stand if word == "PLAN" else word for word in arguments]), line)
+
+
+QUICK = ("--seeds", 1, "--jobs", 1)
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_the_best_is_printed_and_written(folder: Path) -> None:
+    result = invoke("discover", "hopper-hop", *QUICK, "--schedule-out", "hop.py", "--output", "hop.npz")
+    assert result.exit_code == 0
+    assert "certified" in result.stdout
+    assert "candidates" in result.stdout.splitlines()[-1]
+    scope: dict[str, Schedule] = {}
+    exec(Path("hop.py").read_text(), scope)
+    solution = Solution.load("hop.npz")
+    assert solution.success
+    assert [phase.name for phase in scope["SCHEDULE"].phases] == list(solution.phase_names)
+
+
+def test_json_has_every_candidate_and_resuming_tries_none_again(folder: Path) -> None:
+    words = ("discover", "hopper-hop", *QUICK, "--output-dir", "found", "--json")
+    first, again = (json.loads(invoke(*words, *more).stdout) for more in ((), ("--resume",)))
+    assert first == again
+    assert {each["source"] for each in first["candidates"]} >= {"relaxed:0", "hop"}
+    assert (folder / "found" / "relaxed-0.npz").exists()
+    assert_refused(invoke(*words), "allowed: --resume, or another folder")
+
+
+def test_a_goal_that_is_too_far_ends_with_the_part_of_the_way_that_is_reached(folder: Path) -> None:
+    result = invoke("discover", "hopper", "--goal", "x=1.5", "--time", 1.2, "--seeds", 0, "--jobs", 1)
+    assert result.exit_code == 1
+    assert "of the way is reached" in result.stdout.splitlines()[-1]
+
+
+def test_a_cycle_of_a_robot_is_found(folder: Path) -> None:
+    result = invoke("discover", "hopper", "--periodic", "--set", "speed=0.5", *QUICK)
+    assert result.exit_code == 0
+    assert "nearest known gait of the best: hop" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (("go2", "--set", "a=1"), "--set has no effect on the robot"),
+        (("hopper-hop", "--goal", "x=1"), "--goal has no effect on the problem"),
+        (("hopper-hop", "--terrain", "flat"), "--terrain has no effect on the problem"),
+        (("hopper-hop", "--time", "1"), "--time has no effect on the problem"),
+        (("hopper-hop", "--jobs", 1, "--scheduler", "tcp://127.0.0.1:1"), "allowed: without --scheduler"),
+        (("go2", "--goal", "z=1"), "a goal has no 'z'"),
+        (("go2", "--goal", "x=nan"), "allowed: a finite number"),
+        (("go2", "--terrain", "box"), "has the wrong form"),
+        (("go2", "--terrain", "gap:height=1"), "has the wrong form"),
+        (("go2", "--terrain", "box:height=inf"), "allowed: a finite number"),
+        (("go2", "--time", "2:1"), "--time is '2:1'"),
+        (("go2", "--time", "nan"), "--time is 'nan'"),
+        (("hopper", "--periodic"), "a cycle has no speed"),
+        (("hopper", "--periodic", "--set", "speed=1", "--set", "a=1"), "a cycle has no 'a'"),
+        (("hopper", "--periodic", "--set", "speed=1", "--goal", "x=1"), "--goal has no effect on a cycle"),
+        (("hopper", "--periodic", "--set", "speed=1", "--time", "1:2"), "the period of a cycle is 1 to 2 s"),
+        (("quadruped", "--periodic", "--set", "speed=1"), "the robot of 'quadruped' is not clear"),
+        (("hopper-hop", "--periodic"), "--periodic has no effect on the problem"),
+        (("hopper-hop", "--resume"), "with --output-dir"),
+        (("ur5-reach",), "no feet on a moving base"),
+        (("hopper-hop", "--seeds", "0", "--no-known"), "nothing is proposed"),
+        (("hopper-hop", "--max-time", "nan"), "max_time"),
+        (("hopper-hop", "--effort", "0"), "allowed: seeds or known ones, most >= 1"),
+        (("hopper-hop", "--scheduler", "nowhere"), "no scheduler answers at 'nowhere'"),
+        (("hopper-hop", "--scheduler", "a:1", "--jobs", "2"), "--jobs has no effect here"),
+        (("hopper-hop", "--output", "none/x.npz"), "cannot write none/x.npz"),
+        (("nothing",), "is unknown"),
+    ],
+)
+def test_what_is_refused_is_one_line(words: tuple[str, ...], reason: str) -> None:
+    assert_refused(invoke("discover", *words), reason)

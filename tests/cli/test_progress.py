@@ -15,10 +15,8 @@ from rich.cells import cell_len
 from tests.support.problems import hop
 from tests.support.processes import AtTerminal, python
 from tests.support.refusals import refused
-from trajopt import solve
-from trajopt.problem.problem import Problem
+from trajopt import Problem, solve, solve_ladder
 from trajopt.solvers.drivers import SOLVERS
-from trajopt.solving.ladder import solve_ladder
 from trajopt.solving.monitoring import Iterate, combine_watches
 from trajopt.view.watching.panel import ASCII, BLOCKS, MISSING, panel_lines, sparkline
 from trajopt.view.watching.record import COLUMNS, FIGURES, History, IterationLines, IterationTable

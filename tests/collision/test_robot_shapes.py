@@ -3,7 +3,6 @@
 import inspect
 import shutil
 import struct
-from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,16 +14,14 @@ import pinocchio as pin
 import pytest
 
 from tests.support.repository import ROOT
+from trajopt import FlatGround, InputError, Robot
+from trajopt.collision import CollisionScene, inertia_boxes, robot_shapes
 from trajopt.collision.coal_shapes import coal_link
-from trajopt.collision.description import RobotShapes, inertia_capsules, robot_shapes, sampled_postures
+from trajopt.collision.description import RobotShapes, sampled_postures
 from trajopt.collision.hulls import MOST_EXCESS
-from trajopt.collision.near import CollisionScene
 from trajopt.collision.shapes import LinkShape
-from trajopt.errors import InputError
 from trajopt.inspection.report import robot_report
 from trajopt.robot.geometry import mesh_vertices
-from trajopt.robot.robot import Robot
-from trajopt.terrain import FlatGround
 from trajopt.view.replay.commands import Recorder
 from trajopt.view.replay.robot import draw_robot
 from trajopt_library import robots
@@ -258,21 +255,18 @@ def test_report_counts_shapes_and_pairs_left_out_by_reason():
     assert "its links is not known" in robot_report(robots.load("irb1600")).table()
 
 
-def test_capsules_of_inertias_hold_the_boxes_with_these_inertias():
+def test_boxes_of_inertias_are_the_boxes_with_these_inertias():
     model = pin.Model()
     sides, place = np.array([0.3, 0.1, 0.2]), pin.SE3(pin.exp3(np.ones(3)), np.array([0.1, 0.2, 0.3]))
     for name in ("one", "massless"):
         joint = model.addJoint(0, pin.JointModelRX(), pin.SE3.Random(), name)
         model.addJointFrame(joint)
     model.appendBodyToJoint(1, pin.Inertia.FromBox(2.0, *sides), place)
-    (capsule,) = inertia_capsules(model)
-    corners = np.array([place.act(np.array(signs) * sides / 2) for signs in product((-1, 1), repeat=3)])
-    start, end = capsule.points
-    axis = (end - start) / np.linalg.norm(end - start)
-    assert np.linalg.norm(end - start) == pytest.approx(0.3)
-    away = np.linalg.norm(np.cross(corners - start, axis), axis=1)
-    assert away == pytest.approx(capsule.radius)
-    assert np.sort((corners - start) @ axis) == pytest.approx([0.0] * 4 + [0.3] * 4, abs=1e-12)
+    (box,) = inertia_boxes(model)
+    assert (box.kind, box.frame) == ("box", "one")
+    corners = np.array([place.actInv(corner) for corner in box.points])
+    assert np.abs(corners) == pytest.approx(np.tile(sides / 2, (8, 1)))
+    assert len(np.unique(np.sign(corners), axis=0)) == 8
 
 
 LINK = """

@@ -33,14 +33,14 @@ SEED = 5
 
 def integrated(tracker: Tracker, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """States (n, nq), (n, nv) at the ticks of a plan whose contacts hold as planned."""
-    plan, reference, model = tracker.plan, tracker.reference, tracker.plan.model
+    reference, model = tracker.reference, tracker.reference.model
     step, states = reference.period / SUBSTEPS, []
     for k in range(reference.planned):
         active = reference.active[k]
-        names = [(plan.contact_frames[i], 3) for i in np.flatnonzero(active)]
+        names = [(reference.contact_frames[i], 3) for i in np.flatnonzero(active)]
         contacts, whole = ContactSet.of(model, names), np.zeros(model.nv)
         states.append((q, v))
-        whole[plan.n_unactuated :] = tracker.torque(reference.t[k] - reference.t[0], q, v, active)
+        whole[reference.n_unactuated :] = tracker.torque(reference.t[k] - reference.t[0], q, v, active)
         for _ in range(SUBSTEPS):
             v = v + step * forward_dynamics(model, q, v, whole, contacts).acceleration
             q = pin.integrate(model, q, step * v)

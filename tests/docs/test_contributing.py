@@ -17,7 +17,7 @@ from trajopt.errors import InputError
 from trajopt.motion.grid import mesh_of
 from trajopt.solvers.drivers import SOLVERS, Solver
 from trajopt.solving.solving import solve
-from trajopt.transcription.schemes import FAMILIES, scheme
+from trajopt.transcription.schemes import FAMILIES, collocation, scheme
 
 pytestmark = pytest.mark.long
 
@@ -60,7 +60,10 @@ def test_the_robot_reaches(files: dict[str, Path]) -> None:
 
 def test_the_term_saves_power(files: dict[str, Path]) -> None:
     problem = trajopt.load("arm-reach", robot="ur5")
-    term = module(files["joint_power.py"]).JointPowerCost(weight=10.0)
+    cost = module(files["joint_power.py"]).JointPowerCost
+    with pytest.raises(InputError, match="weight of JointPowerCost is -1"):
+        cost(weight=-1.0)
+    term = cost(weight=10.0)
     saving = trajopt.solve(replace(problem, terms=(*problem.terms, term)))
     usual = trajopt.solve(problem)
     assert saving.success
@@ -90,6 +93,20 @@ def test_the_scheme_is_refined() -> None:
     refined = trajopt.solve(replace(problem, default_transcription="chebyshev:2", default_intervals=4))
     assert refined.success
     assert mesh_of(refined).transcription.startswith("chebyshev:")
+
+
+@pytest.mark.parametrize(
+    ("order", "points", "said"),
+    [
+        (5, [0.0, 0.5, 1.0], "order of scheme 'mine' is 5; allowed: up to 4"),
+        (3, [0.5, 0.2, 1.3], "points of scheme 'mine' are 0.5, 0.2, 1.3; allowed: ascending, from 0 to 1"),
+        (2, [0.5, 0.5], "points of scheme 'mine' are 0.5, 0.5; allowed: ascending"),
+        (1, [], "points of scheme 'mine' are none; allowed: ascending"),
+    ],
+)
+def test_a_scheme_with_mistakes_is_refused(order: int, points: list[float], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        collocation("mine", order, np.array(points))
 
 
 def test_the_solver_finds_the_optimum(files: dict[str, Path], monkeypatch: pytest.MonkeyPatch) -> None:

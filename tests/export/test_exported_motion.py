@@ -16,7 +16,7 @@ from tests.support.exported_plans import (
     swinging_arm,
 )
 from tests.support.refusals import assert_refused_in_one_line
-from trajopt.export.exported_motion import SingleJoints, joint_angles, sample_cycles
+from trajopt.export.exported_motion import counted_angle, sample_cycles
 from trajopt.export.links import without_jumps
 
 pytestmark = pytest.mark.long
@@ -43,13 +43,13 @@ def test_one_cycle_is_the_plan_at_even_times(kind: str) -> None:
     own = plan.sample(times=motion.t[:half])
     for name in ("q", "v", "a", "tau", "drive_torque", "f", "active", "phase"):
         assert_array_equal(getattr(motion, name)[:half], getattr(own, name))
-    for name in motion.joint_names:
-        column = motion.joint_names.index(name)
-        assert_allclose(motion.joint_position[:half, column], own.q[:, own.position_names.index(name)])
-        assert_allclose(motion.joint_velocity[:half, column], own.v[:, own.velocity_names.index(name)])
+    for name in motion.joints.names:
+        column = motion.joints.names.index(name)
+        assert_allclose(motion.joints.position[:half, column], own.q[:, own.position_names.index(name)])
+        assert_allclose(motion.joints.velocity[:half, column], own.v[:, own.velocity_names.index(name)])
         if name in own.torque_names:
             torque = own.drive_torque[:, own.torque_names.index(name)]
-            assert_allclose(motion.joint_torque[:half, column], torque)
+            assert_allclose(motion.joints.torque[:half, column], torque)
 
 
 @pytest.mark.parametrize("kind", ["turning trot", "planar hops"])
@@ -91,8 +91,8 @@ def test_the_second_half_of_a_walk_is_the_mirror_image_of_the_first() -> None:
         assert_allclose(velocity[later, second], velocity[:rows, first] * flip, atol=ROUNDING)
     assert_allclose(motion.f[later, 0, :3], motion.f[:rows, 1, :3] * flip, atol=ROUNDING)
     assert_array_equal(motion.active[later, 0], motion.active[:rows, 1])
-    left, right = (motion.joint_names.index(f"{side}_hip_pitch_joint") for side in ("left", "right"))
-    assert_allclose(motion.joint_torque[later, left], motion.joint_torque[:rows, right], atol=ROUNDING)
+    left, right = (motion.joints.names.index(f"{side}_hip_pitch_joint") for side in ("left", "right"))
+    assert_allclose(motion.joints.torque[later, left], motion.joints.torque[:rows, right], atol=ROUNDING)
 
 
 def _opposite(name: str) -> str:
@@ -157,12 +157,9 @@ def test_a_sample_at_an_impact_has_the_values_after_it() -> None:
 def test_angles_of_joints_without_end_count_whole_turns() -> None:
     """Three turns a second, of which ten samples a second see a third each."""
     t, rate = np.arange(40) / 10, 6 * np.pi
-    joints = SingleJoints(
-        names=("wheel",), rows=np.array([0]), places=np.array([0]), counted=np.array([True])
-    )
     q = np.column_stack([np.cos(rate * t + 1), np.sin(rate * t + 1)])
-    found = joint_angles(joints, q, np.full((40, 1), rate), t)
-    assert_allclose(found[:, 0], rate * t + 1, atol=ROUNDING)
+    found = counted_angle(q, np.full(40, rate), t)
+    assert_allclose(found, rate * t + 1, atol=ROUNDING)
 
 
 def test_quaternions_keep_their_sign_along_time() -> None:

@@ -24,13 +24,11 @@ from typing import Any
 
 import numpy as np
 
-from trajopt.certify.check import check
+from trajopt import InputError, Problem, Solution, TrajoptError, check
 from trajopt.certify.report import AT_POINTS, CheckReport
 from trajopt.cli.report import solve_dict, solve_summary, to_json
-from trajopt.errors import InputError, SolutionFileError, TrajoptError
-from trajopt.motion.arrays import OTHERS, SAMPLED
-from trajopt.motion.solution import Solution
-from trajopt.problem.problem import Problem
+from trajopt.errors import SolutionFileError
+from trajopt.motion.consistency import OTHERS, SAMPLED
 from trajopt.solvers.status import Status
 from trajopt.solving.solving import solve
 

@@ -12,24 +12,10 @@ from numpy.testing import assert_allclose
 from tests.extremes.changed_robots import limited, solo, ur5
 from tests.extremes.moves import legged, reach, stance, with_joints
 from tests.extremes.outcomes import Failed, Refused, Solved, assert_outcome
-from trajopt.motion.solution import Solution
-from trajopt.problem.problem import Problem
-from trajopt.robot.kinematics import frame_pose
-from trajopt.robot.robot import Robot
-from trajopt.schedule import middle_of
-from trajopt.schedule.placing import footholds_at
-from trajopt.schedule.schedule import Phase, Schedule
+from trajopt import FlatGround, Phase, Problem, Robot, Schedule, Solution, middle_of, terms
+from trajopt.robot import frame_pose
+from trajopt.schedule import footholds_at
 from trajopt.solvers.status import Status
-from trajopt.terms import (
-    FrameHeight,
-    FramePose,
-    PositionLimits,
-    SwingClearance,
-    TerminalRest,
-    TorqueLimits,
-    VelocityLimits,
-)
-from trajopt.terrain.flat import FlatGround
 from trajopt_library import robots
 
 pytestmark = pytest.mark.long
@@ -79,7 +65,7 @@ def test_a_robot_on_legs_whose_goal_is_its_start_stays(name):
 
 
 def at(place: list[float]) -> Callable[[], Problem]:
-    end = (FramePose(frame="tool0", position=np.array(place)), TerminalRest(q=ur5().reference))
+    end = (terms.FramePose(frame="tool0", position=np.array(place)), terms.TerminalRest(q=ur5().reference))
     return lambda: reach(ur5(), ur5().reference, ur5().reference, end=end)
 
 
@@ -146,8 +132,8 @@ def hop(robot: Robot, *, away: tuple[float, float, float] = (0.0, 0.0, 0.0), ris
         q[2] += max(0.0, 9.81 * (t - 0.3) * (0.5 - t) / 2)
         return q
 
-    high = FrameHeight(frame="base_link", height=start[2] + rise, at=middle_of("flight"))
-    over = SwingClearance(height=0.02, terrain=ground)
+    high = terms.FrameHeight(frame="base_link", height=start[2] + rise, at=middle_of("flight"))
+    over = terms.SwingClearance(height=0.02, terrain=ground)
     extra = (over, *((high,) if rise else ()))
     return legged(robot, schedule, start, goal, guess, extra=extra, ground=ground)
 
@@ -189,8 +175,11 @@ def test_a_far_goal_is_measured_from_where_the_arm_stands():
     model.jointPlacements[1] = placement
     tower = replace(arm, model=model)
     goal = frame_pose(arm, with_joints(arm, {"elbow_joint": 1.2}), "tool0").translation
-    ends = [(FramePose(frame="tool0", position=p), TerminalRest(q=arm.reference)) for p in (goal, goal + up)]
-    limits = (TorqueLimits(), PositionLimits(), VelocityLimits())
+    ends = [
+        (terms.FramePose(frame="tool0", position=p), terms.TerminalRest(q=arm.reference))
+        for p in (goal, goal + up)
+    ]
+    limits = (terms.TorqueLimits(), terms.PositionLimits(), terms.VelocityLimits())
     here, there = (
         assert_outcome(
             Solved(ARM), partial(reach, robot, arm.reference, arm.reference, end=end, limits=limits)

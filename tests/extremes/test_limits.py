@@ -9,11 +9,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tests.extremes.changed_robots import limited, solo, ur5
-from tests.extremes.motions import stand
-from tests.extremes.moves import reach, stance, with_joints
+from tests.extremes.moves import reach, stance, stand, with_joints
 from tests.extremes.outcomes import Failed, Refused, Solved, assert_outcome
-from trajopt.motion.solution import Solution
-from trajopt.problem.problem import Problem
+from trajopt import Problem, Solution
 from trajopt.solvers.status import Status
 from trajopt.terms import Cost, NodeCost, TorqueLimits
 from trajopt_library import problems, robots

@@ -11,12 +11,9 @@ from numpy.testing import assert_allclose
 
 from tests.extremes.moves import reach
 from tests.extremes.outcomes import Failed, Refused, Solved, assert_outcome
-from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
-from trajopt.motion.solution import Solution
-from trajopt.problem.problem import Problem
-from trajopt.reduced.base_conversion import with_virtual_base
-from trajopt.robot.robot import Robot
-from trajopt.schedule.schedule import Phase, Schedule
+from trajopt import Phase, Problem, Robot, Schedule, Solution
+from trajopt.dynamics import STANDARD_GRAVITY
+from trajopt.reduced import with_virtual_base
 from trajopt.solvers.status import Status
 from trajopt.terms import (
     AccelerationCost,
@@ -27,7 +24,6 @@ from trajopt.terms import (
     VelocityCost,
     VelocityLimits,
 )
-from trajopt.terrain.flat import FlatGround
 from trajopt_library import problems, robots
 
 pytestmark = pytest.mark.long
@@ -74,7 +70,6 @@ def thrown(robot: Robot, omega: np.ndarray, duration: float, terms: tuple = (), 
             name="thrown",
             robot=robot,
             schedule=Schedule((Phase(name="flight", duration=duration),)),
-            terrain=FlatGround(),
             initial_q=start,
             initial_v=velocity,
             terms=terms,

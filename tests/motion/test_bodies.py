@@ -12,7 +12,7 @@ from trajopt.certify.check import check
 from trajopt.collision.description import RobotShapes, robot_shapes
 from trajopt.collision.shapes import SphereObstacle
 from trajopt.motion.solution import Solution
-from trajopt.solving.rest import rest
+from trajopt.problem.problem import rest
 from trajopt.solving.solving import solve
 from trajopt.terrain import FlatGround, PiecewiseTerrain
 from trajopt.view.replay.motion import replay_motion

@@ -18,7 +18,6 @@ from tests.support.sampled_problems import KINDS, solution_of_kind
 from trajopt.certify.accuracy.between import figures_between_points
 from trajopt.dynamics.model_quantities import generalized_force
 from trajopt.errors import InputError
-from trajopt.motion.carried import carrying_model
 from trajopt.motion.quantities import MotionQuantities
 from trajopt.motion.sampled_motion import SampledMotion
 from trajopt.motion.solution import Solution
@@ -57,7 +56,7 @@ def apart(solution: Solution, one: np.ndarray, other: np.ndarray) -> float:
 def equation_of_motion(solution: Solution, motion: SampledMotion) -> np.ndarray:
     """By how much samples miss the equation of motion by numeric Pinocchio (n, nv)."""
     frames, found = [solution.model.getFrameId(name) for name in motion.contact_frames], []
-    models = [carrying_model(solution, phase) for phase in range(len(solution.phases))]
+    models = [solution.carrying_model(phase) for phase in range(len(solution.phases))]
     for k, phase in enumerate(motion.phase):
         state = (motion.q[k], motion.v[k], motion.a[k])
         missed = generalized_force(models[phase], models[phase].createData(), state, frames, motion.f[k])

@@ -12,8 +12,8 @@ from tests.support.refusals import assert_refused_in_one_line
 from tests.support.replay_pages import hopping
 from tests.support.synthetic_motions import arm_motion, sampled, standing, tumbling_flight, with_meta
 from trajopt.errors import InputError, SolutionFileError
-from trajopt.motion.arrays import OTHERS, REQUESTS, SAMPLED
 from trajopt.motion.configurations import geodesic_configurations
+from trajopt.motion.consistency import OTHERS, REQUESTS, SAMPLED
 from trajopt.motion.input import require_motion, solutions_of
 from trajopt.motion.output import replacing_folder
 from trajopt.motion.solution import Solution

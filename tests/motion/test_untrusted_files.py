@@ -14,8 +14,12 @@ from tests.support.refusals import assert_refused_in_one_line
 from tests.support.synthetic_motions import arm_motion, sampled
 from trajopt.collision.shapes import LinkShape, SphereObstacle
 from trajopt.motion.archive import read_members
-from trajopt.motion.model_arrays import MODEL_KINDS, model_from_arrays, model_to_arrays
-from trajopt.motion.model_text import model_from_untrusted_text
+from trajopt.motion.model_arrays import (
+    MODEL_KINDS,
+    model_from_arrays,
+    model_from_untrusted_text,
+    model_to_arrays,
+)
 from trajopt.motion.solution import Solution
 from trajopt.solving.diagnosis.diagnose import diagnose
 from trajopt.terrain import Patch

@@ -9,26 +9,17 @@ import pytest
 
 import trajopt
 from tests.support.ground import HILLS, STAIRS
-from tests.support.refusals import refused
+from tests.support.refusals import refused, refused_calls
 from tests.support.swings import BALL, FAR, MARGIN, ROD_CAPSULES, past, rods, swing
-from trajopt.collision.description import robot_shapes, sampled_postures
+from trajopt import FlatGround, InputError, Problem, start_of
+from trajopt.collision import robot_shapes
+from trajopt.collision.description import sampled_postures
 from trajopt.collision.near import GROUND
 from trajopt.collision.shapes import LinkShape, SphereObstacle
-from trajopt.errors import InputError
-from trajopt.problem.bodies import (
-    FOOT_DEPTH,
-    GAP_SLACK,
-    MORE_DEPTH,
-    ProblemBodies,
-    bodies_of,
-    clearance_of,
-)
-from trajopt.problem.problem import Problem
-from trajopt.schedule import start_of
+from trajopt.problem.bodies import FOOT_DEPTH, GAP_SLACK, MORE_DEPTH, ProblemBodies, bodies_of, clearance_of
+from trajopt.problem.problem import rest
 from trajopt.solving.extraction import described_bodies
-from trajopt.solving.rest import rest
 from trajopt.terms import Clearance, FramePose, Term, TerminalPosture, TerminalState
-from trajopt.terrain.flat import FlatGround
 from trajopt_library import robots
 
 EXACT = 1e-8  # m; what Coal's iterations leave for balls and capsules
@@ -272,21 +263,14 @@ def test_free_start_is_not_judged():
 LYING = SphereObstacle(name="lying", centre=[0.8, 0.0, 0.2], radius=0.1)
 SAME = SphereObstacle(name="joint1", centre=[3.0, 0.0, 0.0], radius=0.1)
 NOWHERE = LinkShape.sphere("c", "nose", np.zeros(3), 0.1)
-BAD = {
-    "margin": (lambda: Clearance(margin=-0.1), "margin"),
-    "nan": (lambda: Clearance(margin=np.nan), "margin"),
-    "two obstacles": (lambda: Clearance(obstacles=(BALL, BALL)), "named ball"),
-    "name of a link": (lambda: bodies_of(past(swing(), SAME)), "named joint1"),
-    "name of the ground": (lambda: bodies_of(past(swing(), replace(FAR, name=GROUND))), "named ground"),
-    "frame": (lambda: bodies_of(past(swing(), shapes=[NOWHERE])), "nose"),
-}
-
-
-@pytest.mark.parametrize("case", BAD)
-def test_bad_settings_are_refused_in_one_line(case):
-    build, message = BAD[case]
-    with refused(message):
-        build()
+test_bad_settings_are_refused_in_one_line = refused_calls(
+    (lambda: Clearance(margin=-0.1), "margin"),
+    (lambda: Clearance(margin=np.nan), "margin"),
+    (lambda: Clearance(obstacles=(BALL, BALL)), "named ball"),
+    (lambda: bodies_of(past(swing(), SAME)), "named joint1"),
+    (lambda: bodies_of(past(swing(), replace(FAR, name=GROUND))), "named ground"),
+    (lambda: bodies_of(past(swing(), shapes=[NOWHERE])), "nose"),
+)
 
 
 def test_planes_of_the_ground_are_those_of_its_near_faces():

@@ -1,21 +1,21 @@
-"""The guess of problems that give none: goals at their moments, feet where they stand, free falls."""
+"""What a problem need not say: the guess, goals at their moments, ground, start, directions of rest."""
 
 from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 import trajopt
-from trajopt import Phase, Problem, Schedule, end_of, terms
-from trajopt.dynamics.model_quantities import STANDARD_GRAVITY
-from trajopt.problem.guessing import PosturePath, default_guess
-from trajopt.problem.periodicity import Periodicity
-from trajopt.robot import edge_contacts, with_edges
-from trajopt.robot.kinematics import contact_positions, frame_pose
-from trajopt.robot.robot import Robot
-from trajopt.schedule import footholds_at, middle_of
+from tests.support.problems import one_phase
+from trajopt import FlatGround, Phase, Problem, Robot, Schedule, end_of, middle_of, terms
+from trajopt.dynamics import STANDARD_GRAVITY
+from trajopt.problem import Periodicity, PosturePath, default_guess
+from trajopt.robot import contact_positions, edge_contacts, frame_pose, with_edges
+from trajopt.schedule import footholds_at
+from trajopt.solving.solving import solve
+from trajopt.terms import TerminalRest
 from trajopt.terrain import Ramp, SmoothTerrain
 from trajopt_library import robots
 from trajopt_library.problems.bipeds import biped
@@ -203,12 +203,8 @@ def test_posture_path_rests_at_every_posture_and_stays_at_the_last() -> None:
 def test_an_arm_finds_its_way_without_a_guess() -> None:
     robot = robots.load("ur5")
     goal = terms.FramePose(frame="tool0", position=np.array([0.45, 0.25, 0.55]))
-    problem = Problem(
-        name="reach",
-        robot=robot,
-        schedule=Schedule((Phase(name="all", duration=1.0),)),
-        terms=(terms.AccelerationCost(weight=1.0), terms.TorqueLimits(), goal, terms.TerminalRest()),
-    )
+    effort = terms.AccelerationCost(weight=1.0), terms.TorqueLimits()
+    problem = one_phase(robot, *effort, goal, terms.TerminalRest())
     assert trajopt.solve(problem).statistics.success
 
 
@@ -222,3 +218,39 @@ def test_a_quadruped_leaps_without_a_guess(name: str) -> None:
     problem = replace(problem, terms=(*costs, *limits, goal, terms.TerminalRest()))
     found = trajopt.solve(problem)
     assert found.statistics.success, trajopt.check(found).failures()
+
+
+# Two solves of one optimum, whose rows of rest are taken at different postures.
+SAME_OBJECTIVE = 1e-5
+# Velocity at rest, m/s and rad/s: what contacts hold is an acceleration, whose integral drifts a little.
+REST = 2e-4
+
+
+@pytest.fixture(scope="module", params=["ur5-reach", "solo12-jump"])
+def problem(request: pytest.FixtureRequest) -> Problem:
+    return trajopt.load(request.param)
+
+
+@pytest.mark.long
+def test_ground_and_start_have_defaults(problem):
+    needed = {name: getattr(problem, name) for name in ("name", "robot", "schedule", "terms", "guess")}
+    if problem.robot.base == "fixed":
+        needed["guess"] = lambda t: problem.robot.reference
+        needed["terms"] = [term for term in problem.terms if not term.targets()]
+    made = Problem(**needed)
+    assert made.terrain == FlatGround()
+    assert_array_equal(made.initial_q, problem.robot.reference)
+    assert_array_equal(made.initial_v, np.zeros(problem.robot.nv))
+
+
+@pytest.mark.long
+def test_rest_needs_no_posture(problem):
+    free = replace(
+        problem,
+        terms=tuple(TerminalRest() if isinstance(term, TerminalRest) else term for term in problem.terms),
+    )
+    given, found = solve(problem), solve(free)
+    assert found.success
+    assert found.statistics.constraints == given.statistics.constraints
+    assert_allclose(found.statistics.objective, given.statistics.objective, rtol=SAME_OBJECTIVE)
+    assert_allclose(found.v[-1], 0.0, atol=REST)

@@ -1,4 +1,4 @@
-"""Bipeds: robots on their legs, pushes, swings of soles, postures at joint limits, and two motions solved."""
+"""Bipeds: pushes, swings, postures at limits, walks and runs on flat soles and from heel to toe."""
 
 import casadi as ca
 import numpy as np
@@ -7,11 +7,16 @@ import pytest
 from numpy.testing import assert_allclose
 
 import trajopt
+from tests.support.models import placement
+from tests.support.refusals import refusals, refused, refused_calls
+from tests.support.solved_problems import motion
+from trajopt import Solution
 from trajopt.certify.report import AT_POINTS
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.dynamics.model_quantities import contact_jacobian
-from trajopt.errors import InputError
+from trajopt.motion.energy_use import cost_of_transport
 from trajopt.reduced.footsteps import feet_of
+from trajopt.robot import EDGES, edge_contacts
 from trajopt.robot.kinematics import contact_poses, contact_positions, inverse_kinematics
 from trajopt.robot.legs import biped_legs
 from trajopt.robot.units import Units
@@ -51,13 +56,8 @@ def test_legs_carry_the_whole_mass_and_every_joint_moves_a_foot(name):
 
 @pytest.mark.parametrize("family", ["biped-gait", "biped-run", "biped-squat", "biped-step-up", "biped-walk"])
 def test_robots_that_are_no_bipeds_are_refused(family):
-    with pytest.raises(InputError, match="allowed"):
+    with refused("allowed"):
         problems.load(family, robot="solo12")
-
-
-def test_point_feet_do_not_follow_the_pendulum():
-    with pytest.raises(InputError, match="soles"):
-        problems.load("biped-walk", robot="bolt")
 
 
 # Pushes
@@ -137,9 +137,10 @@ def test_step_up_moves_one_foot_after_the_other_onto_the_box(name):
         assert problem.terrain.height(place[0], place[1]) == pytest.approx(problem.parameters["height"])
 
 
-def test_steps_shorter_than_a_sole_are_refused():
-    with pytest.raises(InputError, match="more than a sole"):
-        problems.load("biped-step-up", robot="talos", forward=0.1)
+test_walks_without_soles_and_steps_shorter_than_one_are_refused = refused_calls(
+    (lambda: problems.load("biped-walk", robot="bolt"), "soles"),
+    (lambda: problems.load("biped-step-up", robot="talos", forward=0.1), "more than a sole"),
+)
 
 
 @pytest.mark.parametrize("name", bipeds.ROBOTS)
@@ -199,9 +200,7 @@ def test_inverse_kinematics_ends_at_a_bounded_optimum_where_ankles_end():
     assert found.error > pushing.REACHED
 
     def squared(q: np.ndarray) -> float:
-        data = robot.model.createData()
-        pin.framesForwardKinematics(robot.model, data, q)
-        errors = [pin.log6(data.oMf[robot.model.getFrameId(f)].actInv(to)).vector for f, to in feet.items()]
+        errors = [pin.log6(placement(robot.model, q, f).actInv(to)).vector for f, to in feet.items()]
         return float(np.sum(np.square(errors)))
 
     at_limit = 0
@@ -272,7 +271,7 @@ def test_unphysical_parameters_are_refused() -> None:
         {"double_support": 0.0},
         {"torque_share": 0.0},
     ):
-        with pytest.raises(InputError, match="allowed"):
+        with refused("allowed"):
             problems.load("biped-walk", **values)
 
 
@@ -288,3 +287,110 @@ def test_walk_solves_from_its_own_guess_passes_the_check_and_ends_at_rest(values
     planned = feet_of(problem.robot, problem.guess(problem.schedule.duration))
     for name, foot in feet_of(problem.robot, solution.q[-1]).items():
         assert_allclose(foot.position, planned[name].position, atol=ON_FOOTHOLD)
+
+
+ROLLING = {"feet": "heel-toe"}
+# Corners have friction pyramids along the world's axes, soles along their own; small costs differ, too.
+SAME_MODEL = 2e-2
+# Pitch of a foot that clearly stands on an edge, rad.
+TILTED = 0.05
+# What a check allows of a sole, rad.
+FLAT = 1e-2
+# Moments of forces in file's digits, over the weight times a metre.
+HEEL_TOE_ROUNDING = 1e-12
+
+
+def pitches(solution: Solution, frame: str) -> np.ndarray:
+    """Pitch (K,) of a sole at all samples, toe down, rad."""
+    model, data = solution.model, solution.model.createData()
+    angles = []
+    for q in solution.q:
+        pin.framesForwardKinematics(model, data, q)
+        angles.append(-np.arcsin(data.oMf[model.getFrameId(frame)].rotation[2, 0]))
+    return np.array(angles)
+
+
+def stands(solution: Solution, sole: str, edge: str) -> np.ndarray:
+    """Samples (K,) at which an edge of a sole is active."""
+    frames = list(solution.contact_frames)
+    return np.array(solution.active[:, [frames.index(name) for name in edge_contacts(sole, edge)]].all(1))
+
+
+def certified(name: str, **values: object) -> Solution:
+    solution = motion(name, **values)
+    assert solution.converged, solution.statistics.advice
+    assert solution.statistics.rounds[0].iterations <= MOST_ITERATIONS
+    assert not trajopt.check(solution).failures()
+    return solution
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("robot", ON_SOLES)
+def test_a_walk_strikes_with_the_heel_pushes_off_with_the_toe_and_costs_less(robot, tmp_path):
+    rolling = certified("biped-gait", robot=robot, **ROLLING)
+    # In this half of the cycle the left foot lands, and the right one leaves the ground.
+    pitch = {foot: pitches(rolling, bipeds.biped(robot).contact(foot).frame) for foot in ("left", "right")}
+    heel, toe = (stands(rolling, "left", edge) for edge in EDGES)
+    assert pitch["left"][np.flatnonzero(heel & ~toe)[0]] < -TILTED
+    assert np.abs(pitch["left"][heel & toe]).max() < FLAT
+    assert pitch["right"][np.flatnonzero(stands(rolling, "right", "toe"))[-1]] > TILTED
+    flat = certified("biped-gait", robot=robot)
+    assert cost_of_transport(rolling) < 0.9 * cost_of_transport(flat)
+    rolling.save(tmp_path / "rolling.npz")
+    again = Solution.load(tmp_path / "rolling.npz")
+    assert not trajopt.check(again).failures()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("robot", ON_SOLES)
+def test_a_walk_that_turns_rolls_over_feet_with_any_heading(robot):
+    solution = certified("biped-walk", robot=robot, steps=3, turn=0.2, **ROLLING)
+    model, data = solution.model, solution.model.createData()
+    frames, moments = list(solution.contact_frames), []
+    for k, q in enumerate(solution.q):
+        pin.framesForwardKinematics(model, data, q)
+        for foot in ("left", "right"):
+            for edge in EDGES:
+                ends = edge_contacts(foot, edge)
+                places = np.array([data.oMf[model.getFrameId(name)].translation for name in ends])
+                forces = solution.f[k, [frames.index(name) for name in ends], :3]
+                along = places[0] - places[1]
+                moment = np.cross(places - places.mean(axis=0), forces).sum(axis=0)
+                moments.append(moment @ along / np.linalg.norm(along))
+    weight = pin.computeTotalMass(model) * 9.81
+    assert np.abs(moments).max() < HEEL_TOE_ROUNDING * weight
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("robot", ON_SOLES)
+def test_a_run_rolls_over_heel_and_toe(robot):
+    certified("biped-run", robot=robot, **ROLLING)
+
+
+@pytest.mark.slow
+def test_corners_without_time_on_heel_or_toe_walk_like_soles():
+    corners = certified("biped-gait", heel=0.0, toe=0.0, **ROLLING)
+    soles = certified("biped-gait")
+    assert cost_of_transport(corners) == pytest.approx(cost_of_transport(soles), rel=SAME_MODEL)
+
+
+@pytest.mark.parametrize("family", ["biped-gait", "biped-run", "biped-walk"])
+def test_flat_feet_are_the_default_and_have_no_corners(family):
+    problem = problems.load(family)
+    assert problem.robot is bipeds.biped("talos")
+    assert {contact.kind for contact in problem.robot.contacts} == {"surface"}
+    assert not any("heel" in frame.name for frame in problem.robot.model.frames)
+    assert problems.load(family, **ROLLING).robot.model.nframes == problem.robot.model.nframes + 8
+
+
+test_wrong_use_gives_one_clear_line = refusals(
+    lambda family, values: problems.load(family, **values),
+    ("biped-gait", {"robot": "bolt", **ROLLING}, "robot 'bolt' stands on points"),
+    ("biped-gait", {"heel": 0.2}, "parameter heel is given, but feet is flat"),
+    ("biped-walk", {"toe": 0.2}, "parameter toe is given, but feet is flat"),
+    ("biped-run", {"heel": 0.5, "toe": 0.5, **ROLLING}, "flat in between"),
+    ("biped-walk", {"heel": 0.5, "toe": 0.6, **ROLLING}, "flat in between"),
+    ("biped-gait", {"toe": 0.999, **ROLLING}, "allowed: 0 to 0.9"),
+    ("biped-gait", {"feet": "toes"}, "allowed: flat, heel-toe"),
+    ("biped-gait", {"toe": 0.1667, **ROLLING}, "off phase 'double_1'|off phase 'single_1'"),
+)

@@ -11,25 +11,22 @@ from numpy.testing import assert_allclose
 
 import trajopt
 from tests.support.problems import FOOT, hop, hopper, planar_hopper
+from trajopt import InputError, Problem, Robot, Solution
 from trajopt.certify.report import AT_POINTS
-from trajopt.dynamics.manifold import Coordinates
-from trajopt.errors import InputError
-from trajopt.motion.solution import Solution
-from trajopt.problem.problem import Problem
-from trajopt.reduced.body_guess import BasePath, guess_from_srb
+from trajopt.dynamics import Coordinates
+from trajopt.reduced import body_problem, guess_from_srb
+from trajopt.reduced.body_guess import BasePath
 from trajopt.reduced.footsteps import feet_of
 from trajopt.reduced.single_rigid_body import (
     BODY,
     LONGEST,
     BodyDynamics,
     FootReach,
-    body_problem,
     body_robot,
     footholds_of,
     rigid_body,
 )
-from trajopt.robot.robot import Robot
-from trajopt.robot.units import Units
+from trajopt.robot import Units
 from trajopt.terms import Context
 from trajopt_library import problems, robots
 from trajopt_library.problems.bipeds import biped

@@ -12,39 +12,17 @@ from scipy.optimize import linprog
 
 import trajopt
 from tests.support.problems import FOOT, hop, hopper, reach
+from trajopt import InputError, Problem, Solution, terms
 from trajopt.certify.report import AT_POINTS
-from trajopt.dynamics.model_quantities import contact_jacobian
-from trajopt.errors import InputError
+from trajopt.dynamics import contact_jacobian
 from trajopt.motion.samples import sample_quantities
-from trajopt.motion.solution import Solution
-from trajopt.problem.problem import Problem
-from trajopt.reduced.two_stage import (
-    base_rows_problem,
-    recover_torques,
-    standing_share,
-    torque_bounds,
-    torque_terms,
-)
-from trajopt.reduced.wrench_distribution import redistribute_wrenches
-from trajopt.robot.actuators.drive import Drive
-from trajopt.robot.units import Units
+from trajopt.reduced import base_rows_problem, recover_torques, redistribute_wrenches
+from trajopt.reduced.two_stage import standing_share, torque_bounds, torque_terms
+from trajopt.robot import Drive, Units
 from trajopt.solving.extraction import extract
 from trajopt.solving.solving import prepare
-from trajopt.terms import (
-    AccelerationCost,
-    Context,
-    Cost,
-    DriveLimits,
-    FrictionCone,
-    FrictionPyramid,
-    PostureCost,
-    TorqueCost,
-    TorqueLimits,
-    WrenchCost,
-)
+from trajopt.transcription import Derivatives, transcribe
 from trajopt.transcription.guess import initial_guess
-from trajopt.transcription.stage_functions import Derivatives
-from trajopt.transcription.transcription import transcribe
 from trajopt_library import problems
 
 # Numeric Pinocchio against itself in another order of sums.
@@ -69,25 +47,26 @@ def largest_point(problem: Problem) -> object:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PowerCost(Cost):
+class PowerCost(terms.Cost):
     """A cost of a user's own that asks for torques together with rates."""
 
-    def residual(self, context: Context, units: Units) -> ca.SX:
+    def residual(self, context: terms.Context, units: Units) -> ca.SX:
         return context.torque * context.dxi[context.robot.n_unactuated :] / units.torque
 
 
 @dataclass(frozen=True, kw_only=True)
-class BaseForceCost(Cost):
+class BaseForceCost(terms.Cost):
     """A cost that asks for generalised forces, but for the base rows alone."""
 
-    def residual(self, context: Context, units: Units) -> ca.SX:
+    def residual(self, context: terms.Context, units: Units) -> ca.SX:
         return context.base_rows / units.force
 
 
 def test_terms_that_ask_for_torques_are_found_by_what_they_depend_on() -> None:
     driven = hopper().with_drives({"hip": Drive(gear_ratio=5.0, torque_limit=1.0)})
     problem = hop(
-        robot=driven, terms=(*hop().terms, DriveLimits(), PowerCost(weight=1.0), BaseForceCost(weight=1.0))
+        robot=driven,
+        terms=(*hop().terms, terms.DriveLimits(), PowerCost(weight=1.0), BaseForceCost(weight=1.0)),
     )
     found = {type(term).__name__ for term in torque_terms(problem)}
     assert found == {"TorqueCost", "TorqueLimits", "DriveLimits", "PowerCost"}
@@ -98,8 +77,8 @@ def test_stage_one_keeps_all_other_terms_and_puts_a_wrench_cost_for_the_torque_c
     one = base_rows_problem(problem)
     dropped = [type(term) for term in problem.terms if term not in one.terms]
     added = [term for term in one.terms if term not in problem.terms]
-    assert dropped == [TorqueCost, TorqueLimits]
-    assert added == [WrenchCost(weight=standing_share(problem.robot))]
+    assert dropped == [terms.TorqueCost, terms.TorqueLimits]
+    assert added == [terms.WrenchCost(weight=standing_share(problem.robot))]
     assert base_rows_problem(problem, replacement=()).terms == tuple(
         term for term in problem.terms if type(term) not in dropped
     )
@@ -122,8 +101,8 @@ def test_replacement_costs_as_much_as_the_torques_of_standing_still() -> None:
 
 
 def test_a_problem_without_other_costs_on_motion_gets_one() -> None:
-    one = base_rows_problem(reach(terms=(TorqueCost(weight=2.0),)))
-    assert any(isinstance(term, AccelerationCost) and term.weight > 0 for term in one.terms)
+    one = base_rows_problem(reach(terms=(terms.TorqueCost(weight=2.0),)))
+    assert any(isinstance(term, terms.AccelerationCost) and term.weight > 0 for term in one.terms)
 
 
 @pytest.mark.long
@@ -214,7 +193,7 @@ def test_redistribution_keeps_motion_base_rows_and_friction_and_lowers_torques_e
 
 def test_redistribution_with_inactive_friction_is_least_squares_over_internal_forces() -> None:
     problem, solution = guessed()
-    kept = tuple(term for term in problem.terms if not isinstance(term, FrictionPyramid))
+    kept = tuple(term for term in problem.terms if not isinstance(term, terms.FrictionPyramid))
     shared = redistribute_wrenches(replace(problem, terms=kept), solution)
     robot = problem.robot
     for row in np.flatnonzero(solution.collocation & (solution.phase == 0))[::5]:
@@ -260,7 +239,9 @@ def test_largest_excess_after_redistribution_is_the_least_that_a_linear_program_
 
 def test_the_smooth_friction_cone_is_respected_too() -> None:
     problem, solution = guessed()
-    coned = tuple(FrictionCone() if isinstance(term, FrictionPyramid) else term for term in problem.terms)
+    coned = tuple(
+        terms.FrictionCone() if isinstance(term, terms.FrictionPyramid) else term for term in problem.terms
+    )
     shared = redistribute_wrenches(replace(problem, terms=coned), solution)
     points, mu, weight = solution.collocation, problem.terrain.friction, problem.robot.weight
     was, now = (
@@ -310,7 +291,9 @@ def test_foreign_solutions_and_problems_without_torques_are_refused() -> None:
         recover_torques(hop(), solution)
     with pytest.raises(InputError, match="redistributed"):
         redistribute_wrenches(hop(), solution)
-    free = hop(actuation="acceleration", terms=(AccelerationCost(weight=1.0), PostureCost(weight=1.0)))
+    free = hop(
+        actuation="acceleration", terms=(terms.AccelerationCost(weight=1.0), terms.PostureCost(weight=1.0))
+    )
     with pytest.raises(InputError, match="actuation"):
         base_rows_problem(free)
 

@@ -9,17 +9,15 @@ import pytest
 from numpy.testing import assert_allclose
 
 import trajopt
+from tests.support.problems import one_phase
 from tests.support.refusals import refused
-from trajopt.errors import InputError, UnsupportedJointError
+from trajopt import InputError, Robot, Solution
+from trajopt.errors import UnsupportedJointError
 from trajopt.inspection.faults import find_faults
 from trajopt.inspection.standing import standing_posture
-from trajopt.motion.solution import Solution
-from trajopt.problem.problem import Problem
 from trajopt.robot import Drive, JointForce
 from trajopt.robot.actuators.joint_force import SPRING
-from trajopt.robot.joint_checks import joints_without_inertia, require_inertia, require_moving
-from trajopt.robot.robot import Robot
-from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.robot.joint_checks import joints_without_inertia
 from trajopt.terms import TerminalRest, TerminalState, TorqueCost, effort_costs
 from trajopt_library import problems, robots
 
@@ -37,15 +35,8 @@ def oscillator(*forces: JointForce) -> Robot:
 
 def fall(robot: Robot, v: float, duration: float) -> Solution:
     """The motion that nothing drives, from q = 1 m at v m/s."""
-    problem = Problem(
-        name="free",
-        robot=robot,
-        schedule=Schedule((Phase(name="free", duration=duration),)),
-        initial_q=np.array([1.0]),
-        initial_v=np.array([v]),
-        terms=(),
-        guess=lambda t: np.array([1.0]),
-    )
+    start = {"initial_q": np.array([1.0]), "initial_v": np.array([v])}
+    problem = one_phase(robot, duration=duration, guess=lambda t: np.array([1.0]), **start)
     return trajopt.solve(problem, transcription="legendre:3", intervals=60)
 
 
@@ -168,13 +159,8 @@ def test_a_link_behind_a_soft_series_spring_moves_from_rest_to_rest() -> None:
     model.armature = np.array([0.05])
     robot = Robot.from_model(model).with_series_springs({"turn": 4.0})
     end = np.array([1.0, 0.0])
-    problem = Problem(
-        name="turn",
-        robot=robot,
-        schedule=Schedule((Phase(name="turn", duration=1.5),)),
-        terms=(TorqueCost(weight=1.0), TerminalState(q=end), TerminalRest(q=end)),
-        guess=lambda t: end * t / 1.5,
-    )
+    goal = TorqueCost(weight=1.0), TerminalState(q=end), TerminalRest(q=end)
+    problem = one_phase(robot, *goal, duration=1.5, guess=lambda t: end * t / 1.5)
     solution = trajopt.solve(problem)
     assert solution.success
     points = solution.collocation
@@ -191,13 +177,8 @@ def test_springs_hold_in_mujoco() -> None:
     )
     end = robot.reference.copy()
     end[[0, 2]] += 0.3
-    problem = Problem(
-        name="move",
-        robot=robot,
-        schedule=Schedule((Phase(name="move", duration=1.0),)),
-        terms=(*effort_costs(), TerminalState(q=end), TerminalRest(q=end)),
-        guess=lambda t: robot.reference + t * (end - robot.reference),
-    )
+    goal = *effort_costs(), TerminalState(q=end), TerminalRest(q=end)
+    problem = one_phase(robot, *goal, guess=lambda t: robot.reference + t * (end - robot.reference))
     simulated = trajopt.simulate(trajopt.solve(problem))
     assert simulated.report.passed, simulated.report.failures
     assert simulated.report.saturated == 0.0
@@ -260,23 +241,17 @@ def test_a_joint_without_inertia_is_found_wherever_it_moves_none(robot: Robot, e
 @pytest.mark.parametrize("name", robots.names())
 def test_all_joints_of_the_library_can_be_moved(name: str) -> None:
     robot = robots.load(name)
-    require_inertia(robot)
-    require_moving(robot)
-
-
-def still(robot: Robot, *terms: trajopt.terms.Term, actuation: str = "torque") -> Problem:
-    return Problem(
-        name="still", robot=robot, schedule=Schedule((Phase(name="rest", duration=1.0),)), terms=terms,
-        actuation=actuation,
-    )  # fmt: skip
+    assert joints_without_inertia(robot) == []
+    assert np.all(robot.velocity_limit[robot.actuated_rows] > 0)
+    assert robot.torque_limit is None or np.all(robot.torque_limit > 0)
 
 
 def test_a_problem_with_torques_needs_inertia() -> None:
     robot = chain(BAR, NOTHING)
     with refused(r"no inertia is moved by joint 'j1' of 'chain'.*lock it"):
-        still(robot, TorqueCost(weight=1.0))
-    assert still(robot, actuation="acceleration").robot is robot
-    assert still(robot.with_locked(["j1"]), TorqueCost(weight=1.0)).robot.nv == 1
+        one_phase(robot, TorqueCost(weight=1.0))
+    assert one_phase(robot, actuation="acceleration").robot is robot
+    assert one_phase(robot.with_locked(["j1"]), TorqueCost(weight=1.0)).robot.nv == 1
 
 
 def test_a_report_says_which_joints_move_nothing() -> None:

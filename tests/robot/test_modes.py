@@ -10,26 +10,12 @@ from numpy.testing import assert_allclose
 import trajopt
 from tests.support.derivatives import Matrices, assert_derivatives, random_unknowns
 from tests.support.problems import FOOT, hop, hopper
+from trajopt import FlatGround, InputError, Phase, Robot, Schedule, Solution, terms
 from trajopt.certify.report import AT_POINTS
-from trajopt.errors import InputError
 from trajopt.motion.samples import contact_places
-from trajopt.motion.solution import Solution
-from trajopt.robot.data import robot_file
-from trajopt.robot.robot import Robot
-from trajopt.robot.stance.minimal_coordinates import stance_mode
-from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.robot import robot_file, stance_mode
 from trajopt.solving.solving import prepare
 from trajopt.solving.solving import solve as solve_on_mesh
-from trajopt.terms import (
-    FrictionCone,
-    PostureCost,
-    SwingClearance,
-    TorqueCost,
-    TorqueLimits,
-    VelocityCost,
-    WrenchCost,
-)
-from trajopt.terrain.flat import FlatGround
 from trajopt.transcription.timeline import StageKind
 from trajopt.transcription.transcription import Transcription
 from trajopt_library import problems
@@ -41,8 +27,6 @@ INTERVALS = 40
 # 2.0e-6 at 160. So one optimum, met to what the grid leaves.
 SAME_OPTIMUM = 5e-4
 SAME_MOTION = 5e-3  # rad and m
-# Rows of a transcription are met to 1e-7 of weight and length.
-MET = 1e-5
 
 
 @lru_cache
@@ -177,7 +161,7 @@ def test_mode_away_from_its_foothold_is_refused():
 
 def test_limits_and_postures_of_the_whole_robot_mean_the_same_joints_in_a_mode():
     """The small hopper's mode has its joints in another order: shank, hip."""
-    limit = TorqueLimits(limit=np.array([10.0, 50.0]))
+    limit = terms.TorqueLimits(limit=np.array([10.0, 50.0]))
     t = prepare(replace(standing_hop(), terms=(limit,)), intervals=6).transcription
     torque = hop().robot.weight * hop().robot.length
     effort = t.rows.block == t.rows.names.index("torque_limits")
@@ -186,7 +170,7 @@ def test_limits_and_postures_of_the_whole_robot_mean_the_same_joints_in_a_mode()
     assert_allclose(bounds, [[50.0, 10.0], [10.0, 50.0], [50.0, 10.0]])
     posture = hop().robot.reference.copy()
     posture[-2:] += [0.3, -0.1]
-    problem = replace(standing_hop(), terms=(PostureCost(weight=1.0, q=posture),))
+    problem = replace(standing_hop(), terms=(terms.PostureCost(weight=1.0, q=posture),))
     costs = [guess_cost(each) for each in (problem, replace(problem, modes={}))]
     assert costs[0] == pytest.approx(costs[1], rel=1e-9)
 
@@ -198,7 +182,7 @@ def guess_cost(problem: trajopt.Problem) -> float:
 
 def test_torque_limit_of_wrong_length_is_refused():
     with pytest.raises(InputError, match=r"values of shape \(3,\) for the actuated joints; allowed: \(2,\)"):
-        prepare(hop(terms=(TorqueLimits(limit=np.ones(3)),)), intervals=4)
+        prepare(hop(terms=(terms.TorqueLimits(limit=np.ones(3)),)), intervals=4)
 
 
 def test_start_that_moves_the_contact_of_its_mode_is_refused():
@@ -236,14 +220,12 @@ def two_legs() -> trajopt.Problem:
             )
         ),
         terrain=ground,
-        initial_q=robot.reference,
-        initial_v=np.zeros(robot.nv),
         terms=(
-            TorqueCost(weight=1.0),
-            WrenchCost(weight=1e-2),
-            FrictionCone(contacts=("FL_FOOT",)),
-            FrictionCone(contacts=("FR_FOOT",)),
-            SwingClearance(height=0.02, terrain=ground),
+            terms.TorqueCost(weight=1.0),
+            terms.WrenchCost(weight=1e-2),
+            terms.FrictionCone(contacts=("FL_FOOT",)),
+            terms.FrictionCone(contacts=("FR_FOOT",)),
+            terms.SwingClearance(height=0.02, terrain=ground),
         ),
         guess=lambda t: robot.reference,
     )
@@ -278,9 +260,13 @@ def test_other_contacts_keep_their_rows_beside_an_embedded_one():
 def test_statics_of_a_velocity_source_hold_in_a_mode():
     problem = hop_of_the_plane()
     stance = Schedule((problem.schedule.phases[0],))
-    terms = (VelocityCost(weight=1.0), PostureCost(weight=1.0), FrictionCone())
+    all_terms = (terms.VelocityCost(weight=1.0), terms.PostureCost(weight=1.0), terms.FrictionCone())
     still = replace(
-        problem, schedule=stance, modes={"stance": problem.modes["stance"]}, terms=terms, actuation="velocity"
+        problem,
+        schedule=stance,
+        modes={"stance": problem.modes["stance"]},
+        terms=all_terms,
+        actuation="velocity",
     )
     solution = trajopt.solve(still, intervals=6)
     assert solution.converged

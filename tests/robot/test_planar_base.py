@@ -1,31 +1,23 @@
-"""Robots in a plane: the hopper is the machine of its figures, quadrupeds hop in their sagittal plane."""
+"""Robots in a plane, the hopper as its figures show it; heels and toes of soles."""
+
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from numpy.testing import assert_allclose
 
 import trajopt
-from trajopt import Contact, FlatGround, Phase, Problem, Robot, Schedule
+from tests.support.models import placement
+from trajopt import Contact, FlatGround, InputError, Phase, Problem, Robot, Schedule, middle_of, terms
 from trajopt.certify.report import AT_POINTS
+from trajopt.dynamics import contact_jacobian
 from trajopt.dynamics.base_joint import Base
 from trajopt.dynamics.model_quantities import generalized_force
-from trajopt.robot.data import robot_file
-from trajopt.schedule import middle_of
-from trajopt.terms import (
-    AccelerationCost,
-    FrameHeight,
-    FrictionCone,
-    PositionLimits,
-    PostureCost,
-    SwingClearance,
-    TerminalRest,
-    TerminalState,
-    TorqueCost,
-    TorqueLimits,
-    VelocityCost,
-    VelocityLimits,
-)
+from trajopt.robot import EDGES, contact_poses, contact_positions, edge_contacts, robot_file, with_edges
+from trajopt.transcription.redundancy import independent_rows
 from trajopt_library import robots
+from trajopt_library.problems import bipeds
 from trajopt_library.robots import hopper
 
 DISTANCE, STANCE, FLIGHT, LANDING = 0.1, 0.3, 0.25, 0.4  # m, s, s, s
@@ -64,9 +56,7 @@ def hop(robot: Robot) -> Problem:
     """Forward by ``DISTANCE`` and up by a tenth of the robot's length, from rest to rest."""
     end = robot.reference.copy()
     end[0] += DISTANCE
-    data = robot.model.createData()
-    pin.framesForwardKinematics(robot.model, data, end)
-    feet = {c.name: data.oMf[robot.model.getFrameId(c.frame)].translation.copy() for c in robot.contacts}
+    feet = {c.name: placement(robot.model, end, c.frame).translation.copy() for c in robot.contacts}
     legs, ground = tuple(feet), FlatGround(friction=0.7)
     height = 1 if robot.base == "planar" else 2
 
@@ -87,21 +77,19 @@ def hop(robot: Robot) -> Problem:
             )
         ),
         terrain=ground,
-        initial_q=robot.reference,
-        initial_v=np.zeros(robot.nv),
         terms=(
-            TorqueCost(weight=1.0),
-            AccelerationCost(weight=2e-2, joints_only=True),
-            VelocityCost(weight=1e-2, joints_only=True),
-            PostureCost(weight=1e-1),
-            TorqueLimits(),
-            PositionLimits(),
-            VelocityLimits(),
-            FrictionCone(friction=ground.friction),
-            SwingClearance(height=0.03, terrain=ground),
-            FrameHeight(frame="root_joint", height=1.1 * robot.length, at=middle_of("flight")),
-            TerminalState(q=end),
-            TerminalRest(q=end),
+            terms.TorqueCost(weight=1.0),
+            terms.AccelerationCost(weight=2e-2, joints_only=True),
+            terms.VelocityCost(weight=1e-2, joints_only=True),
+            terms.PostureCost(weight=1e-1),
+            terms.TorqueLimits(),
+            terms.PositionLimits(),
+            terms.VelocityLimits(),
+            terms.FrictionCone(friction=ground.friction),
+            terms.SwingClearance(height=0.03, terrain=ground),
+            terms.FrameHeight(frame="root_joint", height=1.1 * robot.length, at=middle_of("flight")),
+            terms.TerminalState(q=end),
+            terms.TerminalRest(q=end),
         ),
         guess=guess,
         default_intervals=24,
@@ -226,3 +214,130 @@ def test_joints_can_hold_the_weight_on_a_bent_leg():
     lever = hopper.THIGH_LENGTH
     assert (robot.torque_limit > 2 * robot.weight * lever).all()
     np.testing.assert_array_equal(robot.velocity_limit[3:], hopper.SPEED)
+
+
+ON_SOLES = ("talos", "g1")
+# Linear algebra in double precision on numbers of order one to a hundred.
+EDGES_ROUNDING = 1e-9
+# Central differences of positions of order one with steps of STEP: of second order, and rounding over it.
+STEP, DIFFERENCES = 1e-5, 1e-8
+# Singular values of rows of unit order whose points are centimetres apart, above those of dependent ones.
+RANKED = 1e-3
+# Turns of the whole robot about the vertical, rad: edges along and across the world's axes, and between.
+YAWS = (0.0, 0.4, np.pi / 4, np.pi / 2, -2.5)
+
+
+def turned(robot: Robot, yaw: float) -> np.ndarray:
+    """The reference posture (nq,) turned about the vertical, knees bent a little more on one side."""
+    q = robot.reference.copy()
+    turn = pin.Quaternion(np.array(pin.utils.rotate("z", yaw))) * pin.Quaternion(q[3:7])
+    q[3:7] = turn.coeffs()
+    q[10] += 0.1
+    return q
+
+
+@pytest.mark.parametrize("name", ON_SOLES)
+def test_corners_are_those_of_the_sole_and_toes_are_in_front(name):
+    flat = bipeds.biped(name)
+    robot = with_edges(flat)
+    q = turned(flat, 0.4)
+    poses, places = contact_poses(flat, q), contact_positions(robot, q)
+    ahead = np.array(pin.utils.rotate("z", 0.4))[:, 0]
+    for sole in flat.contacts:
+        corners = np.array([places[corner] for edge in EDGES for corner in edge_contacts(sole.name, edge)])
+        local = np.array([poses[sole.name].actInv(corner) for corner in corners])
+        expected = np.hstack([sole.corners[[1, 2, 0, 3]], np.zeros((4, 1))])
+        assert_allclose(local, expected, atol=EDGES_ROUNDING)
+        assert (corners[2:].mean(axis=0) - corners[:2].mean(axis=0)) @ ahead > sole.half_length
+    assert {contact.kind for contact in robot.contacts} == {"point"}
+    assert robot.length == pytest.approx(flat.length)
+    assert robot.mass == pytest.approx(flat.mass)
+    assert_allclose(robot.reference, flat.reference)
+
+
+@pytest.mark.parametrize("yaw", YAWS)
+@pytest.mark.parametrize("name", ON_SOLES)
+def test_an_edge_keeps_five_independent_rows_and_turns_about_itself_alone(name, yaw):
+    """Rows against finite differences of the corners, which numeric Pinocchio places."""
+    robot = with_edges(bipeds.biped(name))
+    q = turned(robot, yaw)
+    for edge in EDGES:
+        corners = [robot.contact(corner) for corner in edge_contacts("left", edge)]
+        kept = independent_rows(robot, q, (), corners)
+        jacobian = contact_jacobian(robot.model, q, [(c.frame, kept[c.name]) for c in corners])
+        moved = np.zeros_like(jacobian)
+        for column in range(robot.nv):
+            step = np.zeros(robot.nv)
+            step[column] = STEP
+            ends = [contact_positions(robot, pin.integrate(robot.model, q, way * step)) for way in (1, -1)]
+            apart = [(ends[0][c.name] - ends[1][c.name])[list(kept[c.name])] for c in corners]
+            moved[:, column] = np.concatenate(apart) / (2 * STEP)
+        assert_allclose(jacobian, moved, atol=DIFFERENCES)
+        assert len(jacobian) == 5
+        assert np.linalg.svd(jacobian, compute_uv=False)[-1] > RANKED
+        every = contact_jacobian(robot.model, q, [(c.frame, (0, 1, 2)) for c in corners])
+        assert np.linalg.matrix_rank(every, tol=EDGES_ROUNDING) == 5
+        # The motions that these rows allow leave the foot one turn, about the edge.
+        free = np.linalg.svd(jacobian)[2][5:]
+        sole = bipeds.biped(name).contact("left")
+        turns = contact_jacobian(robot.model, q, [(sole.frame, (3, 4, 5))]) @ free.T
+        places = contact_positions(robot, q)
+        along = places[corners[0].name] - places[corners[1].name]
+        assert_allclose(np.cross(turns.T, along), 0.0, atol=EDGES_ROUNDING)
+        assert np.linalg.matrix_rank(turns, tol=EDGES_ROUNDING) == 1
+
+
+@pytest.mark.parametrize("yaw", YAWS)
+def test_wrenches_of_an_edge_are_all_those_without_moment_about_it(yaw):
+    robot = with_edges(bipeds.biped("g1"))
+    q = turned(robot, yaw)
+    places = contact_positions(robot, q)
+    for edge in EDGES:
+        ends = np.array([places[corner] for corner in edge_contacts("right", edge)])
+        along = (ends[0] - ends[1]) / np.linalg.norm(ends[0] - ends[1])
+        levers = ends - ends.mean(axis=0)
+        wrenches = np.vstack([np.tile(np.eye(3), 2), np.hstack([pin.skew(lever) for lever in levers])])
+        assert_allclose(along @ wrenches[3:], 0.0, atol=EDGES_ROUNDING)
+        assert np.linalg.matrix_rank(wrenches, tol=EDGES_ROUNDING) == 5
+
+
+@pytest.mark.parametrize("yaw", YAWS)
+def test_toes_that_come_down_beside_a_heel_add_one_row(yaw):
+    robot = with_edges(bipeds.biped("talos"))
+    heel, toe = ([robot.contact(name) for name in edge_contacts("left", edge)] for edge in EDGES)
+    kept = independent_rows(robot, turned(robot, yaw), heel, toe)
+    assert [sum(len(kept[c.name]) for c in edge) for edge in (heel, toe)] == [5, 1]
+    assert [row for c in toe for row in kept[c.name]] == [2]
+
+
+def test_toes_are_in_front_where_the_axes_of_the_sole_point_back():
+    flat = bipeds.biped("g1")
+    model = pin.Model(flat.model)
+    for sole in flat.contacts:
+        frame = model.frames[model.getFrameId(sole.frame)]
+        frame.placement = frame.placement * pin.SE3(np.array(pin.utils.rotate("z", np.pi)), np.zeros(3))
+    places, usual = (
+        contact_positions(with_edges(r), r.reference) for r in (replace(flat, model=model), flat)
+    )
+    assert places.keys() == usual.keys()
+    for name, place in usual.items():
+        assert_allclose(places[name], place, atol=EDGES_ROUNDING)
+
+
+def test_robots_without_soles_and_soles_across_are_refused():
+    with pytest.raises(InputError, match="has no sole; allowed"):
+        with_edges(robots.load("solo12"))
+    robot = bipeds.biped("g1")
+    model = pin.Model(robot.model)
+    frame = model.frames[model.getFrameId("left_sole")]
+    frame.placement = frame.placement * pin.SE3(np.array(pin.utils.rotate("z", np.pi / 2)), np.zeros(3))
+    with pytest.raises(InputError, match="sole 'left' of robot 'g1' lies across"):
+        with_edges(replace(robot, model=model))
+
+
+def test_contacts_that_are_points_stay_as_they_are():
+    talos = robots.load("talos")
+    robot = with_edges(talos)
+    assert robot.contact("hand") is talos.contact("hand")
+    assert len(robot.contacts) == 9
+    assert isinstance(robot.contact("left_toe_left"), Contact)

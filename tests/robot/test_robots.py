@@ -8,11 +8,10 @@ import pinocchio as pin
 import pytest
 from scipy.spatial import ConvexHull
 
+from tests.support.models import placement
 from tests.support.refusals import refused
-from trajopt.errors import InputError
-from trajopt.robot.kinematics import contact_positions
-from trajopt.robot.legs import legs_only
-from trajopt.robot.robot import Robot
+from trajopt import InputError, Robot
+from trajopt.robot import contact_positions, legs_only
 from trajopt_library import robots
 
 ROUNDING = 1e-12  # metres, after a few multiplications of numbers near one
@@ -62,9 +61,7 @@ ONE_LEG = "from trajopt_library.robots.hopper_space import build\n"
 
 
 def poses(robot: Robot, frames: list[str]) -> list[pin.SE3]:
-    data = robot.model.createData()
-    pin.framesForwardKinematics(robot.model, data, robot.reference)
-    return [data.oMf[robot.model.getFrameId(frame)].copy() for frame in frames]
+    return [placement(robot.model, robot.reference, frame) for frame in frames]
 
 
 def corners(robot: Robot) -> np.ndarray:

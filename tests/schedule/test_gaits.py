@@ -8,18 +8,16 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from tests.support.driven_robots import HEXAPOD, around, walker
 from tests.support.models import random_state
-from tests.support.refusals import refused
-from trajopt.errors import InputError
-from trajopt.robot import edge_contacts
-from trajopt.robot.legs import biped_legs, feet_in_base, quadruped_legs
-from trajopt.schedule import END, Moment, end_of, middle_of, rolled, start_of
-from trajopt.schedule.gaits import BIPED, HOPPER, LEAST_SHARE, QUADRUPED, Gait, gait_of
-from trajopt.schedule.moment import Target
-from trajopt.schedule.schedule import Phase, Schedule
+from tests.support.refusals import refusals, refused_calls
+from trajopt import FlatGround, InputError, Moment, Phase, Schedule, end_of, middle_of, start_of
+from trajopt.robot import biped_legs, edge_contacts, feet_in_base, quadruped_legs
+from trajopt.robot.legs import feet_by_side
+from trajopt.schedule import BIPED, END, QUADRUPED, Gait, Target, gait_of, rolled
+from trajopt.schedule.gaits import HOPPER, LEAST_SHARE, gait_names
 from trajopt.terms import swing_arcs
 from trajopt.terrain import Patch, Surface
-from trajopt.terrain.flat import FlatGround
 from trajopt_library import robots
 
 PERIOD = 0.8
@@ -127,6 +125,41 @@ def test_any_number_of_feet_has_gaits() -> None:
     assert [phase.name for phase in wave.phases(PERIOD)] == [f"support5_{i}" for i in range(1, 7)]
     dragged = Gait(name="dragged", duty={"a": 1, "b": 0.5}, offsets={"a": 0.2, "b": 0.7})
     assert [phase.contacts for phase in dragged.phases(PERIOD)] == [("a", "b"), ("a",)]
+
+
+WAVES = {
+    3: ("pronk", "wave"),
+    5: ("alternating", "ripple", "wave"),
+    6: ("tripod", "ripple", "wave"),
+    8: ("alternating", "ripple", "wave"),
+}
+
+
+@pytest.mark.parametrize("count", WAVES)
+def test_feet_of_any_number_step_from_hind_to_front(count: int) -> None:
+    robot = walker(around(count))
+    left, right = feet_by_side(robot)
+    assert len(left) - len(right) == count % 2
+    assert gait_names(robot) == WAVES[count]
+    for name in set(WAVES[count]) - {"pronk"}:
+        gait = gait_of(robot, name)
+        swing = 1 - gait.duty_of(left[0])
+        for behind, before in (*pairwise(left), *pairwise(right)):
+            assert (gait.offsets[before] - gait.offsets[behind] - swing) % 1 == pytest.approx(0, abs=ROUNDING)
+        air = [(count - len(support.feet), support.part) for support in gait.supports()]
+        assert sum(feet * part for feet, part in air) == pytest.approx(count * swing)
+        if name == "wave":
+            assert {feet for feet, _ in air} == {1}
+
+
+def test_a_tripod_has_the_outer_feet_of_a_side_and_the_middle_one_of_the_other() -> None:
+    robot = walker(HEXAPOD)
+    left, right = feet_by_side(robot)
+    assert (left, right) == (("leg_4", "leg_2", "leg_0"), ("leg_5", "leg_3", "leg_1"))
+    stances = [set(support.feet) for support in gait_of(robot, "tripod").supports()]
+    assert stances == [{left[0], left[2], right[1]}, {right[0], right[2], left[1]}]
+    with pytest.raises(InputError, match="gait 'trot' is unknown"):
+        gait_of(robot, "trot")
 
 
 def test_free_durations_are_bounded_by_parts_of_the_nominal_ones() -> None:
@@ -256,11 +289,6 @@ def test_swings_of_half_a_cycle_go_on_with_the_other_side() -> None:
             assert_allclose([own.begin, own.end], [other.begin, other.end], atol=ROUNDING)
 
 
-def test_a_swing_that_is_lower_than_the_ground_is_refused() -> None:
-    with pytest.raises(InputError, match="allowed"):
-        swing_arcs(_schedule(BIPED["run"]), ("left",), height=-0.1, terrain=FlatGround())
-
-
 FEET = ("left", "right")
 HEEL, TOE = 1 / 6, 1 / 4
 WALK = Gait(name="walk", duty=0.6, offsets={"left": 0.0, "right": 0.5})
@@ -357,20 +385,15 @@ def test_parts_of_a_phase_share_its_bounds_its_impact_and_what_soles_touch():
         assert part.patches == {name: face for name in part.contacts if name != "hand"}
 
 
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
-        ({"heel": 0.6, "toe": 0.4}, "heel and toe are 0.6 and 0.4.*flat"),
-        ({"heel": -0.1}, "heel and toe are -0.1"),
-        ({"soles": ("hand",)}, "hand are in no phase"),
-        ({"soles": ()}, "none are in no phase"),
-        ({"heel": 0.002}, "off phase 'double'.*allowed: at least"),
-        ({"heel": float("nan")}, "heel"),
-    ],
+test_wrong_use_gives_one_clear_line = refusals(
+    lambda changed: roll(steps(), **changed),
+    ({"heel": 0.6, "toe": 0.4}, "heel and toe are 0.6 and 0.4.*flat"),
+    ({"heel": -0.1}, "heel and toe are -0.1"),
+    ({"soles": ("hand",)}, "hand are in no phase"),
+    ({"soles": ()}, "none are in no phase"),
+    ({"heel": 0.002}, "off phase 'double'.*allowed: at least"),
+    ({"heel": float("nan")}, "heel"),
 )
-def test_wrong_use_gives_one_clear_line(changed, message):
-    with refused(message):
-        roll(steps(), **changed)
 
 
 def test_footholds_of_soles_that_roll_are_refused():
@@ -407,9 +430,10 @@ def test_a_phase_is_a_name(phase, allowed):
         start_of(phase)
 
 
-def test_a_part_of_the_whole_motion_is_no_moment():
-    with pytest.raises(InputError, match="of the motion; allowed: 0 to 1 of a phase"):
-        Moment(fraction=0.5)
+test_swings_below_the_ground_and_moments_of_the_whole_motion_are_refused = refused_calls(
+    (lambda: swing_arcs(_schedule(BIPED["run"]), ("left",), height=-0.1, terrain=FlatGround()), "allowed"),
+    (lambda: Moment(fraction=0.5), "of the motion; allowed: 0 to 1 of a phase"),
+)
 
 
 @pytest.mark.parametrize("at", [END, start_of("flight"), middle_of("flight"), end_of("flight")])

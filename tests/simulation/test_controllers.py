@@ -11,7 +11,7 @@ import trajopt
 from trajopt import Solution
 from trajopt.control import Tracker, TrackerGains
 from trajopt.errors import InputError
-from trajopt.simulation.controllers import TorqueController
+from trajopt.simulation.settings import TorqueController
 from trajopt.simulation.simulate import simulate
 
 pytestmark = pytest.mark.long
@@ -44,7 +44,7 @@ def test_a_controller_of_ones_own_is_asked_at_every_tick(reach: Solution) -> Non
     assert found.report.joint_error_max < 0.05
     assert found.report.controller is None
     times = np.array([t for t, _ in springs.asked])
-    np.testing.assert_allclose(times, np.arange(len(times)) * found.reference.period)
+    np.testing.assert_allclose(times, np.arange(len(times)) * found.timeline.period)
     assert springs.asked[0][1].shape == (0,)
     assert found.as_solution().statistics.simulated
 
@@ -54,7 +54,7 @@ def test_a_tracker_is_the_whole_body_controller(reach: Solution) -> None:
     made = simulate(reach, controller=Tracker(reach, rate=RATE), control_rate=RATE)
     assert_array_equal(made.record.qpos, named.record.qpos)
     assert made.report.controller is not None
-    assert made.report.controller.ticks == len(made.reference.t)
+    assert made.report.controller.ticks == len(made.timeline.t)
 
 
 def test_gains_are_those_of_the_whole_body_controller(reach: Solution) -> None:

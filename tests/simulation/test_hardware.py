@@ -45,16 +45,17 @@ def arm() -> Solution:
 
 def run_of(plan: Solution, **settings: Any) -> SimulationRun:
     own = SimulationSettings(**settings)
-    return plan_run(plan, build_scene(Site.of_plan(plan), own), reference_of(plan, own.control_rate), own)
+    return plan_run(build_scene(Site.of_plan(plan), own), reference_of(plan, own.control_rate), own)
 
 
 def asked(found: Simulation, late: int) -> np.ndarray:
     """Torques (n, nu) of the joints' law on the recorded states ``late`` ticks ago."""
-    reference, gains = found.reference, gains_of(found.scene, found.reference, found.settings)
+    reference = found.timeline
+    gains = gains_of(found.scene, reference, reference.period, found.settings)
     rows = np.maximum(np.arange(len(reference.t)) - late, 0)
     error = reference.q - found.scene.coordinates.from_mujoco(found.record.qpos[rows])
     rate = reference.v - found.record.qvel[rows]
-    return np.asarray(reference.torque + gains.kp * error + gains.kd * rate)
+    return np.asarray(reference.drive_torque + gains.kp * error + gains.kd * rate)
 
 
 @pytest.mark.parametrize("delay", [0, 1, 7])
@@ -78,8 +79,8 @@ def test_contacts_are_late_with_the_state(stand: Solution) -> None:
 def test_torques_change_at_most_at_their_rate(arm: Solution) -> None:
     rate = 200.0
     found = simulate(arm, torque_rate=rate, noise=0.01)
-    change = np.abs(np.diff(np.vstack([found.reference.torque[:1], found.record.torque]), axis=0))
-    most = rate * found.reference.period
+    change = np.abs(np.diff(np.vstack([found.timeline.drive_torque[:1], found.record.torque]), axis=0))
+    most = rate * found.timeline.period
     assert change.max() <= most + ROUNDING
     assert change.max() == pytest.approx(most)
 

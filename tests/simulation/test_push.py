@@ -205,7 +205,7 @@ def report_of(**changes: object) -> PushReport:
 
 def test_the_table_has_both_units_ratios_and_bounds() -> None:
     lines = report_of(notes=("it fell",)).table().splitlines()
-    assert lines[2].split() == ["0", "forward", "4", "(0.100)", "8", "(0.200)", "2.00"]
+    assert lines[2].split() == ["0", "forward", "4", "(0.100)", "8", "(0.200)", "2"]
     assert lines[4].split() == ["180", "backward", "0", "(0.000)", "2", "(0.050)", "-"]
     assert ">= 80 (2.000)" in lines[5]
     assert lines[-1] == "note: it fell"

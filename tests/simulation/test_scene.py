@@ -197,7 +197,7 @@ def test_friction_of_a_phase_holds_in_that_phase_alone():
     for friction in (0.7, 0.1):
         ice = Surface(point=np.zeros(3), normal=np.array(UP), friction=friction).describe()
         found = simulate(with_meta(plan, surfaces=[{}, dict.fromkeys(frames, ice)]))
-        half = found.reference.planned // 2
+        half = found.timeline.planned // 2
         speeds[friction] = [found.record.qvel[row, 0] for row in (half, 2 * half)]
     assert np.abs(speeds[0.7]).max() < CREEPS
     assert abs(speeds[0.1][0]) < CREEPS

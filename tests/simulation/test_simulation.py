@@ -83,10 +83,10 @@ def test_robot_falls_as_it_must_without_ground(stand):
     plan = with_meta(stand, terrain=None, friction=[0.0] * 4)
     plan = replace(plan, tau=np.zeros_like(plan.tau))
     found = simulate(plan, kp=0.0, kd=0.0)
-    t = np.append(found.reference.t, found.reference.t[-1] + found.reference.period)
+    t = np.append(found.timeline.t, found.timeline.t[-1] + found.timeline.period)
     centre = [pin.centerOfMass(plan.model, plan.model.createData(), q)[2] for q in _configurations(found)]
     fallen = centre[0] - 9.81 * t**2 / 2
-    falling = found.reference.planned + 1  # then it would be held
+    falling = found.timeline.planned + 1  # then it would be held
     np.testing.assert_allclose(centre[:falling], fallen[:falling], atol=CLOSED_FORM)
 
 
@@ -290,12 +290,12 @@ def test_robot_without_torques_falls(stand):
 def test_grasp_holds_what_the_plan_holds():
     plan = solve(problems.load("ur5-pull"), intervals=12)
     found = simulate(plan)
-    pulling = found.reference.phase == 2
+    pulling = found.timeline.phase == 2
     planned = sample_quantities(plan).position[-1, 0]
     assert np.abs(found.record.feet[pulling, 0] - planned).max() < 2e-3
     # The pull against the board's normal, 60 N, within what the feedback adds.
     pull = found.record.force[pulling, 0, :3].mean(axis=0)
-    np.testing.assert_allclose(pull, found.reference.f[pulling, 0, :3].mean(axis=0), atol=6.0)
+    np.testing.assert_allclose(pull, found.timeline.f[pulling, 0, :3].mean(axis=0), atol=6.0)
     assert any("held as planned in grasp, pull" in note for note in found.report.notes)
 
 
@@ -328,7 +328,7 @@ def test_cycles_follow_each_other_as_images():
 def test_half_a_cycle_is_followed_by_its_mirror_image():
     plan = solve(problems.load("quadruped-trot", cycle="half"), fixed_mesh=True)
     found = simulate(plan, cycles=1)
-    reference, half = found.reference, len(found.reference.t) // 2
+    reference, half = found.timeline, len(found.timeline.t) // 2
     np.testing.assert_array_equal(reference.active[0], ~reference.active[half])
     assert reference.t[-1] + reference.period == pytest.approx(2 * plan.t[-1], rel=1e-6)
     assert found.report.passed
@@ -356,7 +356,7 @@ def test_half_a_cycle_is_followed_by_its_mirror_image():
             {"gain": 2.0},
             "a simulation has no setting gain; allowed: timestep, control_rate, kp, kd, friction_scale, "
             "mass_scale, noise, seed, cycles, push, rolling, controller, gains, qp_solver, impulse, "
-            "sensor_noise, delay, torque_step, torque_rate, com_offset, ground_offsets",
+            "events, sensor_noise, delay, torque_step, torque_rate, com_offset, ground_offsets",
         ),
         ({"rolling": 1}, "rolling of SimulationSettings is 1; allowed: True or False or None"),
         ({"noise": "much"}, "noise of SimulationSettings is 'much'; allowed: a finite number from 0 to 1"),
@@ -405,4 +405,4 @@ def test_an_arm_is_not_pushed_and_its_report_says_nothing_of_feet():
         simulate(plan, push=50.0)
     table = simulate(plan).report.table()
     assert not any(word in table for word in ("touchdown", "slips", "contact forces", "base"))
-    assert "joints, rms" in table
+    assert "joint error, rms" in table

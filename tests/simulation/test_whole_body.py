@@ -142,7 +142,7 @@ def test_what_the_controller_asked_for_is_in_the_simulated_solution(trot: Soluti
     standing = (asked.forces != 0).any(axis=(1, 2))
     assert_array_equal(np.isfinite(asked.com).all(axis=1), standing)
     assert standing.mean() > 0.95
-    swinging = ~found.reference.active & (np.linalg.norm(record.force, axis=2) == 0.0)
+    swinging = ~found.timeline.active & (np.linalg.norm(record.force, axis=2) == 0.0)
     goals = np.linalg.norm(asked.feet - record.feet, axis=2)[swinging & np.isfinite(asked.feet[:, :, 0])]
     assert goals.size
     assert goals.max() < 0.05 * found.report.reach

@@ -11,12 +11,10 @@ from numpy.testing import assert_allclose
 import trajopt
 from tests.support.command_lines import assert_refused, invoke
 from tests.support.problems import REACH_TIME, inertia, limited_reach, reach
+from tests.support.refusals import refusals
 from tests.support.swings import BALL, FAR, POLE, past
 from tests.support.swings import swing as rods_swing
-from trajopt import Solution, continuation, solve_ladder
-from trajopt.certify.check import check
-from trajopt.errors import InputError
-from trajopt.problem.problem import Problem
+from trajopt import InputError, Problem, Solution, check, continuation, solve_ladder
 from trajopt.solving.continuation import NEAREST_SOLVES, Continuation, nearest
 from trajopt.solving.solving import solve
 from trajopt.terms import TerminalRest, TerminalState, TorqueCost, TorqueLimits, VelocityCost
@@ -233,18 +231,13 @@ def test_a_user_who_stops_a_rung_stops_the_ladder():
     assert ladder.cold is None
 
 
-@pytest.mark.parametrize(
-    ("rungs", "words"),
-    [
-        ([], "no rung"),
-        ([("euler", 5)], "euler"),
-        ([("legendre:1", 0)], "0 intervals"),
-        (["legendre:1"], "ladder"),
-    ],
+test_ladders_that_are_none_are_refused = refusals(
+    lambda rungs: solve_ladder(swing(1.0), rungs),
+    ([], "no rung"),
+    ([("euler", 5)], "euler"),
+    ([("legendre:1", 0)], "0 intervals"),
+    (["legendre:1"], "ladder"),
 )
-def test_ladders_that_are_none_are_refused(rungs, words):
-    with pytest.raises(InputError, match=words):
-        solve_ladder(swing(1.0), rungs)
 
 
 # The command line

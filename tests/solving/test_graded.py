@@ -6,13 +6,12 @@ import pytest
 import trajopt
 from tests.support.problems import REACH, REACH_TIME, hop, inertia, landing, limited_reach, reach
 from tests.support.swings import BALL, FAR, past, swing
+from trajopt import InputError, Problem
 from trajopt.certify.check import examine
 from trajopt.certify.report import GRADE
-from trajopt.errors import InputError
 from trajopt.motion.grid import mesh_of
-from trajopt.problem.problem import Problem
-from trajopt.solving.budget import solve_within
-from trajopt.solving.graded import first_mesh, solve_graded
+from trajopt.solving import solve_graded, solve_within
+from trajopt.solving.graded import first_mesh
 from trajopt.solving.remeshing import PhaseErrors, remeshed
 from trajopt.solving.solving import solve
 from trajopt.solving.stalling import CERTIFIED

@@ -10,15 +10,14 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tests.support.problems import REACH, REACH_TIME, hop, one_joint_arm, reach
-from trajopt.certify.accuracy.measures import measure
+from trajopt import InputError, Phase, Schedule
+from trajopt.certify.accuracy import measure
 from trajopt.certify.report import GRADE
-from trajopt.errors import InputError
 from trajopt.motion.grid import mesh_of
-from trajopt.robot.units import Units
-from trajopt.schedule.schedule import Phase, Schedule
-from trajopt.solving import refinement
+from trajopt.robot import Units
+from trajopt.solving import refinement, solve_graded
 from trajopt.solving.exchange import Exchange
-from trajopt.solving.graded import solve_graded, tolerance_for
+from trajopt.solving.graded import tolerance_for
 from trajopt.solving.refinement import PATIENCE, Refinement, _balanced
 from trajopt.solving.remeshing import MOST_PARTS, PhaseErrors, remeshed
 from trajopt.solving.rounds import phase_errors

@@ -11,11 +11,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 import trajopt
 from tests.support.problems import FOOT, REACH, REACH_TIME, SCHEME_ORDERS, hop, planar_hopper, reach
 from tests.support.solved_problems import ROUNDING, SAME_STATE, Solved, solved, solved_hop
-from trajopt.errors import InputError, SolutionFileError
-from trajopt.motion.configurations import motion_of
-from trajopt.motion.solution import Solution
-from trajopt.problem.problem import Problem
-from trajopt.schedule.schedule import Phase, Schedule
+from trajopt import InputError, Phase, Problem, Schedule, Solution, motion_of
+from trajopt.errors import SolutionFileError
 from trajopt.solving.extraction import extract
 from trajopt.solving.solving import prepare
 from trajopt.solving.warm_start import warm_start

@@ -2,7 +2,7 @@
 
 import multiprocessing
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import replace
@@ -14,27 +14,20 @@ import pytest
 
 from tests.support import batch_problems
 from tests.support.batch_problems import FATES, runs
-from tests.support.packages import installed
+from tests.support.packages import offered
 from tests.support.refusals import assert_refused_in_one_line
-from trajopt import Solution, check
-from trajopt.study.batch.batch import BatchDataset, batch, dataset
+from trajopt import Solution, batch, check, dataset
+from trajopt.study import BatchCase, BatchDataset, BatchSettings, batch_cases
 from trajopt.study.batch.engine import run_batch
 from trajopt.study.batch.records import BatchRecords
-from trajopt.study.batch.solved_case import BatchSettings, CaseResult
-from trajopt.study.batch.variation import BatchCase, batch_cases
+from trajopt.study.batch.solved_case import CaseResult
 from trajopt.study.tasks import local_executor, open_workers
 
 pytestmark = pytest.mark.long
 
 # Columns that are measured.
 TIMES = ["solver_time_s", "case_time_s"]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def package(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """The tests' own families beside the library's."""
-    with installed(batch_problems, tmp_path_factory.mktemp("package")):
-        yield
+package = offered(batch_problems)
 
 
 def swings() -> list[BatchCase]:

@@ -13,7 +13,7 @@ import pytest
 from tests.support import batch_problems
 from tests.support.batch_problems import HELD, runs
 from tests.support.command_lines import invoke
-from tests.support.packages import installed
+from tests.support.packages import offered
 from tests.support.processes import TRAJOPT, Running, environment, needs_proc, no_task_process_left, until
 from trajopt.study.batch.batch import dataset
 
@@ -35,13 +35,7 @@ if __name__ == "__main__":
         os.rename(sys.argv[1] + ".part", sys.argv[1])
         time.sleep(3600)
 """
-
-
-@pytest.fixture(scope="module")
-def package(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """The folder that offers the tests' own families."""
-    with installed(batch_problems, tmp_path_factory.mktemp("package")) as folder:
-        yield folder
+package = offered(batch_problems)
 
 
 class RunningCluster:

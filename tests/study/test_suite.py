@@ -1,7 +1,6 @@
 """The suite: pairs, failure modes, lost processes, statistics, results on disk, bands."""
 
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,12 +8,11 @@ from typing import Any
 import pytest
 
 from tests.support import suite_problems
-from tests.support.packages import installed
-from trajopt import Solution, check, solve
-from trajopt.errors import InputError
+from tests.support.packages import offered
+from trajopt import InputError, Solution, check, solve
 from trajopt.motion.grid import mesh_of
 from trajopt.motion.statistics import SolveStatistics
-from trajopt.problem.catalogue import families
+from trajopt.problem import families
 from trajopt.solvers.status import Status
 from trajopt.study import solves
 from trajopt.study.suite.cases import Case, all_cases, select
@@ -31,13 +29,7 @@ STARTS = replace(PLAIN, perturbed=3)
 SAME = 1e-12
 # IPOPT's rows with two bounds meet slacks, which are a little inside their bounds.
 SLACK = 1e-2
-
-
-@pytest.fixture(scope="module", autouse=True)
-def problems(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """The tests' own families beside the library's."""
-    with installed(suite_problems, tmp_path_factory.mktemp("package")):
-        yield
+problems = offered(suite_problems)
 
 
 def case(problem: str, robot: str = "arm") -> Case:

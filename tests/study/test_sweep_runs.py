@@ -3,7 +3,6 @@
 import csv
 import json
 import signal
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,7 @@ from click.testing import Result
 
 from tests.support import sweep_problems
 from tests.support.command_lines import invoke
-from tests.support.packages import installed
+from tests.support.packages import offered
 from tests.support.problems import hop
 from tests.support.processes import (
     TRAJOPT,
@@ -22,12 +21,9 @@ from tests.support.processes import (
     no_task_process_left,
     task_processes,
 )
-from trajopt import solve
-from trajopt.certify.accuracy.measures import measure
-from trajopt.errors import InputError
-from trajopt.motion.solution import Solution
-from trajopt.problem import Problem
-from trajopt.reduced.two_stage import base_rows_problem
+from trajopt import InputError, Problem, Solution, solve
+from trajopt.certify.accuracy import measure
+from trajopt.reduced import base_rows_problem
 from trajopt.study.display import TaskDisplay
 from trajopt.study.processes import LOST, REFUSED
 from trajopt.study.sweep.engine import Sweep, cores_for, physical_cores
@@ -47,13 +43,7 @@ SHORT = 3.0
 # A rate of change of the objective along the motion that a resampled solution leaves: rounding.
 RESAMPLED = 1e-9
 REQUEST = SweepRequest(problem="s-reach", max_iterations=200)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def package(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """The folder that offers the tests' own families."""
-    with installed(sweep_problems, tmp_path_factory.mktemp("package")) as folder:
-        yield folder
+package = offered(sweep_problems)
 
 
 def sweep(*arguments: object) -> Result:

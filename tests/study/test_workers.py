@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from tests.support.processes import environment, needs_proc
-from trajopt.errors import InputError
+from trajopt import InputError
 from trajopt.study.display import TaskDisplay
 from trajopt.study.processes import (
     LOST,
@@ -31,14 +31,7 @@ from trajopt.study.processes import (
     limit_time,
 )
 from trajopt.study.records import JsonLines
-from trajopt.study.tasks import (
-    DONE,
-    NOT_RUN,
-    NotRunError,
-    TimedCall,
-    Workers,
-    limited,
-)
+from trajopt.study.tasks import DONE, NOT_RUN, NotRunError, TimedCall, Workers, limited
 
 # Seconds that any task here may take; none takes one unless it hangs.
 WAIT = 120.0
@@ -82,7 +75,7 @@ def hang(pids: Path) -> None:
     child = subprocess.Popen(["sleep", "3600"])
     pids.write_text(f"{os.getpid()} {child.pid}")
     limit_time(SHORT)
-    threading.Lock().acquire() and threading.Event().wait()
+    threading.Event().wait(WAIT)
 
 
 def wait(pids: Path) -> None:

@@ -18,7 +18,6 @@ from trajopt.problem.problem import Problem
 from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.study.processes import limit_time
 from trajopt.terms import AccelerationCost, TerminalRest, TerminalState, TorqueCost, TorqueLimits
-from trajopt.terrain.flat import FlatGround
 
 # N m: what swings the arm by 1 rad in 0.5 s needs at least 4 inertia 1 / 0.5^2.
 TORQUE = 4.0 * inertia() / 0.5**2
@@ -39,9 +38,7 @@ def swing(*, goal: float, duration: float, cost: str) -> Problem:
         name="swing",
         robot=one_joint_arm(),
         schedule=Schedule((Phase(name="only", duration=duration),)),
-        terrain=FlatGround(),
         initial_q=np.zeros(1),
-        initial_v=np.zeros(1),
         terms=(
             costs[cost],
             TorqueLimits(limit=np.array([TORQUE])),

@@ -100,3 +100,10 @@ def _placement(generator: np.random.Generator) -> pin.SE3:
 def _inertia(generator: np.random.Generator) -> pin.Inertia:
     shape = generator.uniform(-1, 1, (3, 3))
     return pin.Inertia(generator.uniform(1, 2), generator.uniform(-0.2, 0.2, 3), shape @ shape.T + np.eye(3))
+
+
+def placement(model: pin.Model, q: np.ndarray, frame: str) -> pin.SE3:
+    """Pose of a frame in the world by numeric Pinocchio."""
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    return data.oMf[model.getFrameId(frame)].copy()

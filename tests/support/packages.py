@@ -1,6 +1,6 @@
 """Packages of problem families as pip installs them, for tests that bring their own families."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
@@ -25,3 +25,14 @@ def installed(module: ModuleType, folder: Path) -> Iterator[Path]:
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(folder)
         yield folder
+
+
+def offered(families: ModuleType) -> Callable[..., Iterator[Path]]:
+    """A fixture of a file of tests: the folder that offers these families, beside those of the library."""
+
+    @pytest.fixture(scope="module", autouse=True)
+    def package(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+        with installed(families, tmp_path_factory.mktemp("package")) as folder:
+            yield folder
+
+    return package

@@ -123,6 +123,14 @@ def one_joint_arm(gravity: bool = False) -> Robot:
     return Robot.from_model(model, reference=np.zeros(1), name="arm")
 
 
+def one_phase(
+    robot: Robot, *terms: Term, duration: float = 1.0, name: str = "move", **given: object
+) -> Problem:
+    """A problem of one phase without contacts, by default from rest in the reference."""
+    schedule = Schedule((Phase(name=name, duration=duration),))
+    return Problem(**{"name": name, "robot": robot, "schedule": schedule, "terms": terms, **given})
+
+
 def reach(*, gravity: bool = False, terms: tuple[Term, ...] = (AccelerationCost(weight=1.0),)) -> Problem:
     """The arm from rest at 0 to rest at ``REACH`` in ``REACH_TIME``."""
     robot, goal = one_joint_arm(gravity), np.array([REACH])
@@ -130,9 +138,7 @@ def reach(*, gravity: bool = False, terms: tuple[Term, ...] = (AccelerationCost(
         name="reach",
         robot=robot,
         schedule=Schedule((Phase(name="reach", duration=REACH_TIME),)),
-        terrain=FlatGround(),
         initial_q=np.zeros(1),
-        initial_v=np.zeros(1),
         terms=(*terms, TerminalState(q=goal), TerminalRest(q=goal)),
         guess=lambda t: goal * np.clip(t / REACH_TIME, 0, 1),
         default_intervals=10,

@@ -7,20 +7,8 @@ import numpy as np
 import pinocchio as pin
 
 from tests.support.problems import hop
-from trajopt import Contact, FlatGround, Phase, Problem, Robot, Schedule
+from trajopt import Contact, FlatGround, Phase, Problem, Robot, Schedule, terms
 from trajopt.robot.data import robot_file
-from trajopt.terms import (
-    AccelerationCost,
-    FrictionCone,
-    PositionLimits,
-    PostureCost,
-    SwingClearance,
-    TerminalRest,
-    TerminalState,
-    TorqueCost,
-    VelocityCost,
-    WrenchCost,
-)
 
 LEGS = ("FL", "FR", "HL", "HR")
 
@@ -63,19 +51,17 @@ def solo_hop() -> Problem:
             )
         ),
         terrain=ground,
-        initial_q=robot.reference,
-        initial_v=np.zeros(robot.nv),
         terms=(
-            TorqueCost(weight=1.0),
-            AccelerationCost(weight=2e-2),
-            VelocityCost(weight=1e-2),
-            PostureCost(weight=1e-1),
-            WrenchCost(weight=1e-2),
-            PositionLimits(),
-            FrictionCone(),
-            SwingClearance(height=0.02, terrain=ground),
-            TerminalState(q=robot.reference),
-            TerminalRest(q=robot.reference),
+            terms.TorqueCost(weight=1.0),
+            terms.AccelerationCost(weight=2e-2),
+            terms.VelocityCost(weight=1e-2),
+            terms.PostureCost(weight=1e-1),
+            terms.WrenchCost(weight=1e-2),
+            terms.PositionLimits(),
+            terms.FrictionCone(),
+            terms.SwingClearance(height=0.02, terrain=ground),
+            terms.TerminalState(q=robot.reference),
+            terms.TerminalRest(q=robot.reference),
         ),
         guess=guess,
     )

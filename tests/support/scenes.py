@@ -1,4 +1,4 @@
-"""Small robots with two sides for tests of scenes: legs, arms, a waist; exactly symmetric or not."""
+"""Small robots with two sides for tests of scenes, exactly symmetric or not, and how well optima agree."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -6,7 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
-from trajopt import Contact, FlatGround, Phase, Problem, Robot, Schedule
+import trajopt
+from tests.support.models import placement
+from trajopt import Contact, FlatGround, Phase, Problem, Robot, Schedule, Solution
 from trajopt.dynamics.rerooting import joint_slices
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.kinematics import inverse_kinematics
@@ -114,9 +116,7 @@ def push(robot: Robot, *, terms: Sequence[Term] | None = None, **changes: object
 
 def usual(robot: Robot, lower: float = 0.04) -> tuple[Term, ...]:
     """Costs and limits of all kinds, and an end with the body lowered by ``lower`` m."""
-    data = robot.model.createData()
-    pin.framesForwardKinematics(robot.model, data, robot.reference)
-    feet = {foot: data.oMf[robot.model.getFrameId(foot)].translation.copy() for foot in FEET}
+    feet = {foot: placement(robot.model, robot.reference, foot).translation.copy() for foot in FEET}
     end = robot.reference.copy()
     end[2] -= lower
     end = inverse_kinematics(robot, end, feet).q
@@ -165,3 +165,27 @@ def drive(side: float = 1.0) -> Drive:
         gear_ratio=9.0, rotor_inertia=1e-5, viscous_friction=0.02 * side, coulomb_friction=0.05,
         torque_limit=3.0, stall_torque=4.0, no_load_speed=700.0,
     )  # fmt: skip
+
+
+# Solvers stop at 1e-8 in natural units; two ways to write one problem differ by that over costs of 1e-3.
+SOLVED = 1e-8
+SAME_OPTIMUM = 1e-5
+SAME_MOTION = 1e-4  # rad, m: where the optimum is flat its minimiser is less sharp than its value
+MOST_ITERATIONS = 60
+
+
+def solved(problem: Problem, intervals: int | None = None, perturb: float = 0.0) -> Solution:
+    solution = trajopt.solve(
+        problem,
+        intervals=intervals,
+        perturb=perturb,
+        tolerance=SOLVED,
+        max_iterations=MOST_ITERATIONS,
+        fixed_mesh=True,
+    )
+    assert solution.converged, solution.statistics.advice
+    return solution
+
+
+def objective(solution: Solution) -> float:
+    return float(solution.statistics.objective)

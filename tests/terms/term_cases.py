@@ -10,54 +10,9 @@ import pinocchio as pin
 
 from tests.support.problems import FOOT, hopper, one_joint_arm, planar_hopper
 from tests.terms.term_points import Case, Point, RowsOf, Scale
+from trajopt import terms
 from trajopt.robot import Drive, Robot
 from trajopt.schedule import Phase, middle_of, start_of
-from trajopt.terms import (
-    AccelerationCost,
-    BaseDynamics,
-    ContactAcceleration,
-    ContactLanding,
-    ContactVelocity,
-    DistanceCost,
-    DriveLimits,
-    FrameDirection,
-    FrameHeight,
-    FrameHeightCost,
-    FramePose,
-    FramesAbove,
-    FrameVelocity,
-    FrictionCone,
-    FrictionPyramid,
-    ImpactDynamics,
-    ImpulseCost,
-    MotorTorqueCost,
-    NodePlace,
-    NormalForce,
-    PositionLimits,
-    PostureCost,
-    PowerCost,
-    SlidingFriction,
-    SoleCone,
-    SoleLimits,
-    SwingArc,
-    SwingClearance,
-    SwingCrossing,
-    SwingOver,
-    SwingPart,
-    TerminalLinear,
-    TerminalPosture,
-    TerminalRest,
-    TerminalState,
-    TerminalVelocity,
-    TimeCost,
-    TorqueCost,
-    TorqueLimits,
-    TrackingCost,
-    VelocityCost,
-    VelocityLimits,
-    WrenchCost,
-    free_directions,
-)  # fmt: skip
 from trajopt.terms.context_symbols import Place
 from trajopt.terms.friction import APEX, TIGHT, TIP
 from trajopt.terrain import Bump, FlatGround, Incline, Patch, SmoothTerrain, Surface
@@ -121,10 +76,10 @@ def rates(scale: Scale) -> np.ndarray:
     return 0.1 * np.arange(1, 9) * np.where(linear, scale.length, 1.0) / scale.time
 
 
-def node(scale: Scale, index: int = 2, **options: Any) -> NodePlace:
+def node(scale: Scale, index: int = 2, **options: Any) -> terms.NodePlace:
     """A node of a phase of 4 intervals, at its middle."""
     phase = Phase(name="phase", duration=1.0, **options)
-    return NodePlace(phase, index, (0.0, 0.25, 0.5, 0.75, 1.0), index == 4)
+    return terms.NodePlace(phase, index, (0.0, 0.25, 0.5, 0.75, 1.0), index == 4)
 
 
 stands = partial(node, contacts=(FOOT,))
@@ -339,15 +294,17 @@ def over(point: Point, term: Any) -> RowsOf:
     return rows, [plane.height / plane.normal[2] + term.height for plane in planes], INF, point.units.length
 
 
-def swing(scale: Scale) -> SwingCrossing:
+def swing(scale: Scale) -> terms.SwingCrossing:
     ground = Crossing(first=plane(TILT)(scale), last=plane(UP)(scale))
     parts = {"phase": (0.0, 1.0)}
-    return SwingCrossing(contact=FOOT, begin=0.0, end=1.0, parts=parts, ground=ground, risen=0.3, sinking=0.7)
+    return terms.SwingCrossing(
+        contact=FOOT, begin=0.0, end=1.0, parts=parts, ground=ground, risen=0.3, sinking=0.7
+    )
 
 
 def free(point: Point, q: np.ndarray, error: np.ndarray, contacts: tuple[str, ...] = (FOOT,)) -> RowsOf:
     """N^T error: the basis N is tested by itself."""
-    return free_directions(point.robot, q, contacts).T @ error, 0.0, 0.0, 1.0
+    return terms.free_directions(point.robot, q, contacts).T @ error, 0.0, 0.0, 1.0
 
 
 def off(point: Point, q: np.ndarray) -> np.ndarray:
@@ -392,192 +349,208 @@ def rows(make: Any, formula: Any, **options: Any) -> Case:
 
 at_middle = {"at": middle_of("phase")}
 CASES: dict[str, Case] = {
-    "torque": cost(lambda s: TorqueCost(weight=2.0), lambda p, t: p.torque / p.units.torque, **OVER_TORQUE),
+    "torque": cost(
+        lambda s: terms.TorqueCost(weight=2.0), lambda p, t: p.torque / p.units.torque, **OVER_TORQUE
+    ),
     "torque of drives": cost(
-        lambda s: TorqueCost(weight=2.0), lambda p, t: p.torque / p.units.torque, robot=driven, **OVER_TORQUE
+        lambda s: terms.TorqueCost(weight=2.0),
+        lambda p, t: p.torque / p.units.torque,
+        robot=driven,
+        **OVER_TORQUE,
     ),
     "torque of an arm": cost(
-        lambda s: TorqueCost(weight=2.0),
+        lambda s: terms.TorqueCost(weight=2.0),
         lambda p, t: p.torque / p.units.torque,
         robot=limited_arm,
         contact=False,
     ),
-    "acceleration": cost(lambda s: AccelerationCost(weight=2.0), lambda p, t: p.ddxi / p.units.acceleration),
+    "acceleration": cost(
+        lambda s: terms.AccelerationCost(weight=2.0), lambda p, t: p.ddxi / p.units.acceleration
+    ),
     "acceleration of joints": cost(
-        lambda s: AccelerationCost(weight=2.0, joints_only=True),
+        lambda s: terms.AccelerationCost(weight=2.0, joints_only=True),
         lambda p, t: (p.ddxi / p.units.acceleration)[6:],
     ),
-    "velocity": cost(lambda s: VelocityCost(weight=2.0), lambda p, t: p.dxi / p.units.velocity),
+    "velocity": cost(lambda s: terms.VelocityCost(weight=2.0), lambda p, t: p.dxi / p.units.velocity),
     "velocity of joints": cost(
-        lambda s: VelocityCost(weight=2.0, joints_only=True), lambda p, t: (p.dxi / p.units.velocity)[6:]
+        lambda s: terms.VelocityCost(weight=2.0, joints_only=True),
+        lambda p, t: (p.dxi / p.units.velocity)[6:],
     ),
-    "posture": cost(lambda s: PostureCost(weight=2.0, q=goal(s)), posture),
-    "wrench": cost(lambda s: WrenchCost(weight=2.0), wrench),
-    "wrench of a sole": cost(lambda s: WrenchCost(weight=2.0), wrench, robot=sole),
-    "time": cost(lambda s: TimeCost(weight=2.0), lambda p, t: np.ones(1)),
-    "impulse": cost(lambda s: ImpulseCost(weight=2.0), wrench, robot=sole, place=Place.IMPACT),
-    "motor torque": cost(lambda s: MotorTorqueCost(weight=2.0), motor_torque, robot=driven, **OVER_TORQUE),
-    "power": Case(make=lambda s: PowerCost(weight=2.0, recovered=0.3), value=power, robot=driven),
-    "tracking": cost(lambda s: TrackingCost(weight=2.0, reference=lambda t: goal(s)), tracking),
+    "posture": cost(lambda s: terms.PostureCost(weight=2.0, q=goal(s)), posture),
+    "wrench": cost(lambda s: terms.WrenchCost(weight=2.0), wrench),
+    "wrench of a sole": cost(lambda s: terms.WrenchCost(weight=2.0), wrench, robot=sole),
+    "time": cost(lambda s: terms.TimeCost(weight=2.0), lambda p, t: np.ones(1)),
+    "impulse": cost(lambda s: terms.ImpulseCost(weight=2.0), wrench, robot=sole, place=Place.IMPACT),
+    "motor torque": cost(
+        lambda s: terms.MotorTorqueCost(weight=2.0), motor_torque, robot=driven, **OVER_TORQUE
+    ),
+    "power": Case(make=lambda s: terms.PowerCost(weight=2.0, recovered=0.3), value=power, robot=driven),
+    "tracking": cost(lambda s: terms.TrackingCost(weight=2.0, reference=lambda t: goal(s)), tracking),
     "height": Case(
-        make=lambda s: FrameHeightCost(weight=2.0, frame=FOOT, **at_middle),
+        make=lambda s: terms.FrameHeightCost(weight=2.0, frame=FOOT, **at_middle),
         value=lambda p, t: -t.weight * p.pose(FOOT).translation[2] / p.units.length,
         node=node,
     ),
     "distance": Case(
-        make=lambda s: DistanceCost(weight=2.0, frame=FOOT, direction=tuple(TILT), **at_middle),
+        make=lambda s: terms.DistanceCost(weight=2.0, frame=FOOT, direction=tuple(TILT), **at_middle),
         value=lambda p, t: -t.weight * TILT @ p.pose(FOOT).translation / p.units.length,
         node=node,
     ),
-    "base dynamics": rows(lambda s: BaseDynamics(), base),
-    "base dynamics on a sole": rows(lambda s: BaseDynamics(), base, robot=sole),
-    "base dynamics in a plane": rows(lambda s: BaseDynamics(), base, robot=planar_hopper),
-    "base statics": rows(lambda s: BaseDynamics(), base, actuation="velocity"),
-    "contact acceleration": rows(lambda s: ContactAcceleration(), still),
-    "contact acceleration of a sole": rows(lambda s: ContactAcceleration(), still, robot=sole),
-    "contact acceleration in a plane": rows(lambda s: ContactAcceleration(), still, robot=planar_hopper),
+    "base dynamics": rows(lambda s: terms.BaseDynamics(), base),
+    "base dynamics on a sole": rows(lambda s: terms.BaseDynamics(), base, robot=sole),
+    "base dynamics in a plane": rows(lambda s: terms.BaseDynamics(), base, robot=planar_hopper),
+    "base statics": rows(lambda s: terms.BaseDynamics(), base, actuation="velocity"),
+    "contact acceleration": rows(lambda s: terms.ContactAcceleration(), still),
+    "contact acceleration of a sole": rows(lambda s: terms.ContactAcceleration(), still, robot=sole),
+    "contact acceleration in a plane": rows(
+        lambda s: terms.ContactAcceleration(), still, robot=planar_hopper
+    ),
     "contact acceleration of a sliding contact": rows(
-        lambda s: ContactAcceleration(), still, surface=sliding
+        lambda s: terms.ContactAcceleration(), still, surface=sliding
     ),
     "contact velocity": rows(
-        lambda s: ContactVelocity(),
+        lambda s: terms.ContactVelocity(),
         lambda p, t: (p.velocity(FOOT), 0.0, 0.0, p.units.twist),
         robot=sole,
         actuation="velocity",
     ),
     "impact": rows(
-        lambda s: ImpactDynamics(),
+        lambda s: terms.ImpactDynamics(),
         lambda p, t: (p.forces, 0.0, 0.0, p.units.generalized_force),
         place=Place.IMPACT,
     ),
     "position limits": rows(
-        lambda s: PositionLimits(),
+        lambda s: terms.PositionLimits(),
         lambda p, t: (p.xi[6:], p.robot.position_lower[7:], p.robot.position_upper[7:], p.units.position[6:]),
     ),
-    "velocity limits": rows(lambda s: VelocityLimits(), velocity_limits),
+    "velocity limits": rows(lambda s: terms.VelocityLimits(), velocity_limits),
     "torque limits": rows(
-        lambda s: TorqueLimits(limit=s.torque * np.array([3.0, 5.0])),
+        lambda s: terms.TorqueLimits(limit=s.torque * np.array([3.0, 5.0])),
         torque_limits,
         robot=driven,
         **OVER_TORQUE,
     ),
-    "drive limits": rows(lambda s: DriveLimits(), drive_limits, robot=driven),
-    "friction pyramid": rows(lambda s: FrictionPyramid(), pyramid, surface=plane(UP)),
-    "friction pyramid on a slope": rows(lambda s: FrictionPyramid(friction=MU), pyramid, surface=plane(TILT)),
+    "drive limits": rows(lambda s: terms.DriveLimits(), drive_limits, robot=driven),
+    "friction pyramid": rows(lambda s: terms.FrictionPyramid(), pyramid, surface=plane(UP)),
+    "friction pyramid on a slope": rows(
+        lambda s: terms.FrictionPyramid(friction=MU), pyramid, surface=plane(TILT)
+    ),
     "friction pyramid on hills": rows(
-        lambda s: FrictionPyramid(contacts=(FOOT,)), pyramid, surface=lambda s: hills(s).surface
+        lambda s: terms.FrictionPyramid(contacts=(FOOT,)), pyramid, surface=lambda s: hills(s).surface
     ),
     "friction pyramid of impulses": rows(
-        lambda s: FrictionPyramid(), pyramid, surface=plane(TILT), place=Place.IMPACT
+        lambda s: terms.FrictionPyramid(), pyramid, surface=plane(TILT), place=Place.IMPACT
     ),
-    "friction cone": rows(lambda s: FrictionCone(friction=MU), cone),
-    "friction cone on a slope": rows(lambda s: FrictionCone(), cone, surface=plane(TILT)),
-    "friction cone on hills": rows(lambda s: FrictionCone(), cone, surface=lambda s: hills(s).surface),
-    "sole limits": rows(lambda s: SoleLimits(), sole_limits, robot=sole, surface=plane(TILT)),
-    "sole cone": rows(lambda s: SoleCone(), sole_cone, robot=sole, surface=plane(TILT)),
+    "friction cone": rows(lambda s: terms.FrictionCone(friction=MU), cone),
+    "friction cone on a slope": rows(lambda s: terms.FrictionCone(), cone, surface=plane(TILT)),
+    "friction cone on hills": rows(lambda s: terms.FrictionCone(), cone, surface=lambda s: hills(s).surface),
+    "sole limits": rows(lambda s: terms.SoleLimits(), sole_limits, robot=sole, surface=plane(TILT)),
+    "sole cone": rows(lambda s: terms.SoleCone(), sole_cone, robot=sole, surface=plane(TILT)),
     "normal force": rows(
-        lambda s: NormalForce(contact=FOOT, lower=3.0 * s.mass), normal_force, surface=plane(TILT)
+        lambda s: terms.NormalForce(contact=FOOT, lower=3.0 * s.mass), normal_force, surface=plane(TILT)
     ),
-    "friction of a sliding contact": rows(lambda s: SlidingFriction(), friction_law, surface=sliding),
+    "friction of a sliding contact": rows(lambda s: terms.SlidingFriction(), friction_law, surface=sliding),
     "frame height": rows(
-        lambda s: FrameHeight(frame=FOOT, height=0.3 * s.length, **at_middle),
+        lambda s: terms.FrameHeight(frame=FOOT, height=0.3 * s.length, **at_middle),
         lambda p, t: ([p.pose(FOOT).translation[2]], t.height, INF, p.units.length),
         node=node,
     ),
     "frame height from above": rows(
-        lambda s: FrameHeight(frame=FOOT, height=0.3 * s.length, below=True, **at_middle),
+        lambda s: terms.FrameHeight(frame=FOOT, height=0.3 * s.length, below=True, **at_middle),
         lambda p, t: ([p.pose(FOOT).translation[2]], -INF, t.height, p.units.length),
         node=node,
     ),
     "frame pose": rows(
-        lambda s: FramePose(frame=FOOT, position=s.length * PLACE, rotation=TURN, **at_middle),
+        lambda s: terms.FramePose(frame=FOOT, position=s.length * PLACE, rotation=TURN, **at_middle),
         pose,
         node=node,
     ),
     "frame velocity": rows(
-        lambda s: FrameVelocity(
+        lambda s: terms.FrameVelocity(
             frame=FOOT, velocity=TWIST * [*[s.length] * 3, *[1.0] * 3] / s.time, **at_middle
         ),
         lambda p, t: (p.velocity(FOOT), t.velocity, t.velocity, p.units.twist),
         node=node,
     ),
     "frames above": rows(
-        lambda s: FramesAbove(frames=(FOOT, FOOT), height=0.1 * s.length),
+        lambda s: terms.FramesAbove(frames=(FOOT, FOOT), height=0.1 * s.length),
         lambda p, t: ([p.pose(FOOT).translation[2]] * 2, t.height, INF, p.units.length),
         node=node,
     ),
     "frame direction": rows(
-        lambda s: FrameDirection(
+        lambda s: terms.FrameDirection(
             frame=FOOT, axis=tuple(TILT), direction=(0.0, 0.0, 2.0), angle=0.4, **at_middle
         ),
         direction,
         node=node,
     ),
     "landing on a foothold": rows(
-        lambda s: ContactLanding(at=start_of("phase"), contacts=(FOOT,), terrain=slope(s)),
+        lambda s: terms.ContactLanding(at=start_of("phase"), contacts=(FOOT,), terrain=slope(s)),
         foothold,
         robot=ball,
         node=lambda s: stands(s, 0, footholds={FOOT: projected(s)}, surfaces={FOOT: slope(s).surface}),
     ),
     "landing on a slope": rows(
-        lambda s: ContactLanding(at=start_of("phase"), contacts=(FOOT,), terrain=slope(s)),
+        lambda s: terms.ContactLanding(at=start_of("phase"), contacts=(FOOT,), terrain=slope(s)),
         on_slope,
         robot=ball,
         node=lambda s: stands(s, 0),
     ),
     "landing of a sliding contact": rows(
-        lambda s: ContactLanding(at=start_of("phase"), contacts=(FOOT,), terrain=slope(s)),
+        lambda s: terms.ContactLanding(at=start_of("phase"), contacts=(FOOT,), terrain=slope(s)),
         on_slope,
         surface=sliding,
         node=lambda s: stands(s, 0),
     ),
     "landing on hills": rows(
-        lambda s: ContactLanding(at=start_of("phase"), contacts=(FOOT,), terrain=hills(s)),
+        lambda s: terms.ContactLanding(at=start_of("phase"), contacts=(FOOT,), terrain=hills(s)),
         on_hills,
         surface=lambda s: hills(s).surface,
         node=lambda s: stands(s, 0),
     ),
     "landing on a patch": rows(
-        lambda s: ContactLanding(at=start_of("phase"), contacts=(FOOT,), terrain=FlatGround()),
+        lambda s: terms.ContactLanding(at=start_of("phase"), contacts=(FOOT,), terrain=FlatGround()),
         on_patch,
         robot=sole,
         node=lambda s: stands(s, 0, patches={FOOT: patch(s)}),
     ),
     "swing clearance": rows(
-        lambda s: SwingClearance(height=0.1 * s.length, terrain=slope(s)), clears, robot=sole, node=node
+        lambda s: terms.SwingClearance(height=0.1 * s.length, terrain=slope(s)), clears, robot=sole, node=node
     ),
     "swing clearance of a ball over hills": rows(
-        lambda s: SwingClearance(height=0.1 * s.length, terrain=hills(s)), clears, robot=ball, node=node
+        lambda s: terms.SwingClearance(height=0.1 * s.length, terrain=hills(s)), clears, robot=ball, node=node
     ),
     "swing arc": rows(
-        lambda s: SwingArc(
-            height=0.1 * s.length, terrain=slope(s), parts={"phase": (SwingPart(FOOT, 0.2, 0.8),)}
+        lambda s: terms.SwingArc(
+            height=0.1 * s.length, terrain=slope(s), parts={"phase": (terms.SwingPart(FOOT, 0.2, 0.8),)}
         ),
         arc,
         robot=ball,
         node=node,
     ),
     "swing over planes": rows(
-        lambda s: SwingOver(height=0.1 * s.length, swings=(swing(s),)), over, node=node
+        lambda s: terms.SwingOver(height=0.1 * s.length, swings=(swing(s),)), over, node=node
     ),
     "terminal state": rows(
-        lambda s: TerminalState(q=goal(s)),
+        lambda s: terms.TerminalState(q=goal(s)),
         lambda p, t: free(p, t.q, off(p, t.q) / p.units.position),
         **IN_METRES,
     ),
     "terminal state in the air": rows(
-        lambda s: TerminalState(q=goal(s)),
+        lambda s: terms.TerminalState(q=goal(s)),
         lambda p, t: (off(p, t.q) / p.units.position, 0.0, 0.0, 1.0),
         node=node,
     ),
     "terminal rest": rows(
-        lambda s: TerminalRest(q=goal(s)), lambda p, t: free(p, t.q, p.dxi / p.units.velocity), **IN_METRES
+        lambda s: terms.TerminalRest(q=goal(s)),
+        lambda p, t: free(p, t.q, p.dxi / p.units.velocity),
+        **IN_METRES,
     ),
     "terminal velocity": rows(
-        lambda s: TerminalVelocity(q=goal(s), v=rates(s)), terminal_velocity, **IN_METRES
+        lambda s: terms.TerminalVelocity(q=goal(s), v=rates(s)), terminal_velocity, **IN_METRES
     ),
     "terminal line": rows(
-        lambda s: TerminalLinear(
+        lambda s: terms.TerminalLinear(
             position=np.eye(8)[:1], velocity=-0.5 * s.time * np.eye(8)[1:2], value=np.array([0.3 * s.length])
         ),
         lambda p, t: (
@@ -588,7 +561,9 @@ CASES: dict[str, Case] = {
         ),
         node=node,
     ),
-    "terminal posture": rows(lambda s: TerminalPosture(q=goal(s), over=FOOT), terminal_posture, **IN_METRES),
+    "terminal posture": rows(
+        lambda s: terms.TerminalPosture(q=goal(s), over=FOOT), terminal_posture, **IN_METRES
+    ),
 }
 
 

@@ -15,11 +15,8 @@ from numpy.testing import assert_allclose
 from tests.support.problems import FOOT, REACH_TIME, hopper, reach
 from tests.terms.term_cases import CASES, UP, goal, limited_arm
 from tests.terms.term_points import Evaluated, Scale, similar
-from trajopt import terms
-from trajopt.dynamics.model_quantities import contact_jacobian
-from trajopt.errors import InputError
-from trajopt.motion.solution import Solution
-from trajopt.schedule import Phase, Schedule
+from trajopt import InputError, Phase, Schedule, Solution, terms
+from trajopt.dynamics import contact_jacobian
 from trajopt.solving.solving import solve
 from trajopt.terms import Cost, NodeConstraint, NodeCost, PointConstraint, Rows, free_directions
 from trajopt.terrain import Surface

@@ -12,43 +12,14 @@ from scipy.optimize import minimize
 from tests.support.problems import FOOT, hop, hopper
 from tests.support.refusals import assert_refused_in_one_line
 from tests.support.synthetic_motions import sampled, standing, with_meta
-from trajopt.certify.check import check
+from trajopt import FlatGround, InputError, Phase, Problem, Robot, Schedule, Solution, check, start_of, terms
 from trajopt.certify.report import AT_POINTS
-from trajopt.dynamics.manifold import Coordinates
-from trajopt.errors import InputError, SolutionFileError
-from trajopt.motion import Solution
-from trajopt.problem import Problem
+from trajopt.dynamics import Coordinates
+from trajopt.errors import SolutionFileError
 from trajopt.reduced import BaseWaypoint, legged_guess
-from trajopt.robot import contact_positions, quadruped_legs
-from trajopt.robot.robot import Robot
-from trajopt.robot.units import Units
-from trajopt.schedule import start_of
-from trajopt.schedule.schedule import Phase, Schedule
+from trajopt.robot import Units, contact_positions, quadruped_legs
 from trajopt.solving.solving import solve
-from trajopt.terms import (
-    AccelerationCost,
-    ContactLanding,
-    Context,
-    FramePose,
-    FrictionPyramid,
-    NodePlace,
-    PositionLimits,
-    PostureCost,
-    SwingClearance,
-    TerminalRest,
-    TerminalState,
-    TorqueCost,
-    TorqueLimits,
-    VelocityCost,
-    VelocityLimits,
-    WrenchCost,
-    swing_clearance,
-)
-from trajopt.terrain import smooth_step, swing_path
-from trajopt.terrain.flat import FlatGround
-from trajopt.terrain.patch import Patch
-from trajopt.terrain.piecewise import PiecewiseTerrain
-from trajopt.terrain.surface import Surface
+from trajopt.terrain import Patch, PiecewiseTerrain, Surface, smooth_step, swing_path
 from trajopt.transcription.mesh import equal_fractions
 from trajopt_library import problems, robots
 
@@ -204,11 +175,13 @@ def test_foothold_on_piecewise_ground_is_on_the_face_under_it():
 # Rows of a landing
 
 
-def landing_rows(robot: Robot, patch: Patch) -> tuple[Context, ca.Function, np.ndarray, np.ndarray]:
+def landing_rows(robot: Robot, patch: Patch) -> tuple[terms.Context, ca.Function, np.ndarray, np.ndarray]:
     """Rows of a landing on a patch as a function of the foot's frame, with their bounds."""
-    context = Context(robot, Coordinates(robot.model), node=True)
-    place = NodePlace(phase=stance(patches={FOOT: patch}), index=0, fractions=equal_fractions(4), last=False)
-    term = ContactLanding(at=start_of("stance"), contacts=(FOOT,), terrain=FlatGround())
+    context = terms.Context(robot, Coordinates(robot.model), node=True)
+    place = terms.NodePlace(
+        phase=stance(patches={FOOT: patch}), index=0, fractions=equal_fractions(4), last=False
+    )
+    term = terms.ContactLanding(at=start_of("stance"), contacts=(FOOT,), terrain=FlatGround())
     rows = term.rows(context, Units(robot), place)
     function = ca.Function("rows", [context.frame(FOOT).stacked(), context.parameters], [rows.expression])
     return context, function, rows.lower, rows.upper
@@ -291,10 +264,14 @@ def hop_onto(step: float, distance: float, flat: PiecewiseTerrain, face: Patch) 
         )
 
     end = guess(schedule.duration)
-    kept = [t for t in problem.terms if not isinstance(t, SwingClearance | TerminalState | TerminalRest)]
-    swing = swing_clearance(problem.robot, schedule, flat, height=0.03, guess=guess)
-    terms = (*kept, *swing, TerminalState(q=end), TerminalRest(q=end))
-    return replace(problem, schedule=schedule, terrain=flat, guess=guess, terms=terms)
+    kept = [
+        t
+        for t in problem.terms
+        if not isinstance(t, terms.SwingClearance | terms.TerminalState | terms.TerminalRest)
+    ]
+    swing = terms.swing_clearance(problem.robot, schedule, flat, height=0.03, guess=guess)
+    all_terms = (*kept, *swing, terms.TerminalState(q=end), terms.TerminalRest(q=end))
+    return replace(problem, schedule=schedule, terrain=flat, guess=guess, terms=all_terms)
 
 
 def test_a_hop_onto_a_step_lands_inside_its_face_and_cuts_no_edge():
@@ -384,21 +361,19 @@ def step_up(name: str) -> Problem:
         robot=robot,
         schedule=schedule,
         terrain=terrain,
-        initial_q=robot.reference,
-        initial_v=np.zeros(robot.nv),
         terms=(
-            TorqueCost(weight=1.0),
-            AccelerationCost(weight=2e-2),
-            VelocityCost(weight=1e-2),
-            PostureCost(weight=1e-1),
-            WrenchCost(weight=1e-2),
-            TorqueLimits(),
-            PositionLimits(),
-            VelocityLimits(),
-            FrictionPyramid(),
-            *swing_clearance(robot, schedule, terrain, height=height, guess=guess),
-            FramePose(frame=robot.model.names[1], position=end),
-            TerminalRest(q=guess(schedule.duration)),
+            terms.TorqueCost(weight=1.0),
+            terms.AccelerationCost(weight=2e-2),
+            terms.VelocityCost(weight=1e-2),
+            terms.PostureCost(weight=1e-1),
+            terms.WrenchCost(weight=1e-2),
+            terms.TorqueLimits(),
+            terms.PositionLimits(),
+            terms.VelocityLimits(),
+            terms.FrictionPyramid(),
+            *terms.swing_clearance(robot, schedule, terrain, height=height, guess=guess),
+            terms.FramePose(frame=robot.model.names[1], position=end),
+            terms.TerminalRest(q=guess(schedule.duration)),
         ),
         guess=guess,
         default_intervals=40,

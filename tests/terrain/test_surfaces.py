@@ -11,14 +11,11 @@ from scipy.optimize import linprog
 
 from tests.support.problems import FOOT, hop, hopper, lean
 from tests.support.refusals import assert_refused_in_one_line
-from trajopt.dynamics.manifold import Coordinates
-from trajopt.errors import InputError
-from trajopt.problem.problem import Problem
+from trajopt import FlatGround, InputError, Phase, Problem, Schedule, start_of
+from trajopt.dynamics import Coordinates
+from trajopt.robot import Units
+from trajopt.robot.contact import centre_of_pressure
 from trajopt.robot.friction import friction_rows, pressure_rows, yaw_rows
-from trajopt.robot.sole import centre_of_pressure
-from trajopt.robot.units import Units
-from trajopt.schedule import start_of
-from trajopt.schedule.schedule import Phase, Schedule
 from trajopt.solving.solving import solve
 from trajopt.terms import (
     ContactLanding,
@@ -31,8 +28,8 @@ from trajopt.terms import (
     SoleLimits,
     SwingClearance,
 )
-from trajopt.terrain.flat import FlatGround
-from trajopt.terrain.surface import Surface, frame_of_normal
+from trajopt.terrain import Surface
+from trajopt.terrain.surface import frame_of_normal
 from trajopt.transcription.mesh import equal_fractions
 from trajopt.transcription.stage_functions import point_function
 

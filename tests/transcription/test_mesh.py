@@ -1,5 +1,6 @@
-"""Schemes, and meshes of them: points, weights, interpolants, intervals of unequal width."""
+"""Schemes and meshes of them: points, weights, interpolants, unequal intervals, order at the nodes."""
 
+import statistics
 from math import factorial
 
 import numpy as np
@@ -7,19 +8,34 @@ import pytest
 from numpy.polynomial import Polynomial
 from numpy.testing import assert_allclose, assert_array_equal
 
-from tests.support.problems import hop, lean
-from trajopt.certify.check import check
-from trajopt.errors import InputError
-from trajopt.motion.energy_use import energy
+from tests.support.problems import SCHEME_ORDERS, hop, hopper, lean, one_phase
+from tests.support.refusals import refusals, refused
+from tests.support.tumbling import DURATION, Interval, errors_at_the_end, slope, start, torque
+from trajopt import (
+    Moment,
+    Phase,
+    Problem,
+    Solution,
+    check,
+    end_of,
+    middle_of,
+    start_of,
+)
+from trajopt.motion import energy
 from trajopt.motion.grid import interpolated, mesh_of
-from trajopt.motion.solution import Solution
-from trajopt.schedule import END, Moment, Phase, end_of, middle_of, start_of
-from trajopt.solving.solving import prepare, solve
+from trajopt.schedule import END
+from trajopt.solvers.drivers import run_solver
+from trajopt.solvers.result import StoppingCriteria
+from trajopt.solvers.status import Status
+from trajopt.solving.extraction import extract
+from trajopt.solving.solving import PreparedProblem, prepare, solve
 from trajopt.terms import NodePlace
 from trajopt.terms.interfaces import nodes_of
+from trajopt.transcription import transcribe
+from trajopt.transcription.guess import perturbed
 from trajopt.transcription.mesh import Mesh, PhaseMesh, equal_fractions
 from trajopt.transcription.schemes import FAMILIES, scheme
-from trajopt.transcription.transcription import transcribe
+from trajopt_library import problems
 
 # Step of central differences, and what their truncation and rounding leave of entries of order one.
 STEP, DIFFERENCES = 1e-6, 1e-6
@@ -49,9 +65,9 @@ def test_intervals_have_the_widths_and_the_points_of_their_phase(uneven):
     steps = np.concatenate([T * np.array(m.widths) for T, m in zip(durations, UNEVEN.phases, strict=True)])
     assert_allclose(np.diff(uneven.interval_t, axis=1)[:, 0], steps, rtol=1e-12)
     methods = [phase.method for phase in UNEVEN.phases for _ in phase.widths]
-    for method, rows, (start, end) in zip(methods, uneven.intervals, uneven.interval_t, strict=True):
+    for method, rows, (begin, end) in zip(methods, uneven.intervals, uneven.interval_t, strict=True):
         points = [row for row in rows if uneven.collocation[row]]
-        assert_allclose((uneven.t[points] - start) / (end - start), method.c, atol=1e-12)
+        assert_allclose((uneven.t[points] - begin) / (end - begin), method.c, atol=1e-12)
 
 
 def test_uneven_mesh_holds_the_dynamics_and_joins_its_intervals(uneven):
@@ -156,37 +172,32 @@ def test_step_at_a_node_is_the_wider_of_its_intervals():
     assert_allclose(steps, [0.1, 0.3, 0.6, 0.6])
 
 
-@pytest.mark.parametrize(
-    ("widths", "scheme", "message"),
-    [
-        ((), "legendre:2", r"widths of a phase's intervals are \(\); allowed: positive, 1 in sum"),
-        ((0.5, 0.6), "legendre:2", "1 in sum"),
-        ((1.5, -0.5), "legendre:2", "> 0"),
-        ((float("nan"), 1.0), "legendre:2", "> 0"),
-        ((1.0,), "euler", "unknown transcription 'euler'"),
-    ],
+test_phase_meshes_that_are_none_are_refused = refusals(
+    lambda widths, scheme: PhaseMesh(scheme=scheme, widths=widths),
+    ((), "legendre:2", r"widths of a phase's intervals are \(\); allowed: positive, 1 in sum"),
+    ((0.5, 0.6), "legendre:2", "1 in sum"),
+    ((1.5, -0.5), "legendre:2", "> 0"),
+    ((float("nan"), 1.0), "legendre:2", "> 0"),
+    ((1.0,), "euler", "unknown transcription 'euler'"),
 )
-def test_phase_meshes_that_are_none_are_refused(widths, scheme, message):
-    with pytest.raises(InputError, match=message):
-        PhaseMesh(scheme=scheme, widths=widths)
 
 
 def test_meshes_that_do_not_fit_are_refused():
     one = Mesh.uniform("legendre:2", [4])
-    with pytest.raises(InputError, match="mesh has 1 phases, problem 'hop' 3"):
+    with refused("mesh has 1 phases, problem 'hop' 3"):
         transcribe(hop(), mesh=one)
-    with pytest.raises(InputError, match="mesh is given with a transcription or intervals"):
+    with refused("mesh is given with a transcription or intervals"):
         solve(hop(), mesh=UNEVEN, intervals=12)
-    with pytest.raises(InputError, match="names 2 schemes for 3 phases"):
+    with refused("names 2 schemes for 3 phases"):
         transcribe(hop(), "legendre:2,legendre:3", 12)
 
 
 def test_energy_and_shared_wrenches_take_every_phases_own_scheme(uneven):
     torque, rates = uneven.tau, uneven.v[:, uneven.n_unactuated :]
     expected, methods = 0.0, [phase.method for phase in UNEVEN.phases for _ in phase.widths]
-    for method, rows, (start, end) in zip(methods, uneven.intervals, uneven.interval_t, strict=True):
+    for method, rows, (begin, end) in zip(methods, uneven.intervals, uneven.interval_t, strict=True):
         points = [row for row in rows if uneven.collocation[row]]
-        expected += (end - start) * method.b1 @ np.abs(torque[points] * rates[points]).sum(axis=1)
+        expected += (end - begin) * method.b1 @ np.abs(torque[points] * rates[points]).sum(axis=1)
     # Energy given back counts as drawn when as much of it is lost as of what is drawn.
     assert energy(uneven, recovered=-1.0) == pytest.approx(expected)
     assert_allclose(interpolated(uneven, uneven.f), uneven.f, atol=ROUNDING * np.abs(uneven.f).max())
@@ -313,5 +324,109 @@ def test_the_next_degree_is_asked_of_the_scheme():
 
 @pytest.mark.parametrize("name", UNKNOWN)
 def test_unknown_scheme_is_refused_with_the_list(name):
-    with pytest.raises(InputError, match=r"allowed: legendre:1\.\.4.*semi-implicit-euler"):
+    with refused(r"allowed: legendre:1\.\.4.*semi-implicit-euler"):
         scheme(name)
+
+
+# The measured slope may differ from the order by this much: the next term of the error's expansion.
+SLOPE = 0.3
+# Numbers of intervals whose errors lie between the asymptotic range and the roundoff floor.
+INTERVALS = {
+    1: (80, 160, 320),
+    2: (20, 40, 80),
+    3: (16, 32, 64),
+    4: (10, 20, 40),
+    5: (10, 20, 40),
+    6: (8, 16, 32),
+}
+ROUNDOFF_FLOOR = 3e-12
+# The propagated states solve the NLP's rows up to Newton's tolerance, in scaled units.
+DEFECT = 1e-11
+
+
+@pytest.mark.parametrize(("name", "order"), SCHEME_ORDERS.items())
+def test_error_at_the_nodes_falls_with_the_order_of_the_scheme(name, order):
+    assert scheme(name).order == order
+    counts = INTERVALS[order]
+    errors = errors_at_the_end(scheme(name), counts)
+    assert errors[-1] > ROUNDOFF_FLOOR
+    assert slope(counts, errors) == pytest.approx(order, abs=SLOPE)
+
+
+def tumbling() -> Problem:
+    """The same motion as a problem: one phase without contacts."""
+    q, v = start()
+    return one_phase(hopper(), duration=DURATION, initial_q=q, initial_v=v, guess=lambda t: q)
+
+
+@pytest.mark.parametrize("name", SCHEME_ORDERS)
+def test_transcription_holds_on_the_propagated_states(name):
+    count = 8
+    prepared = prepare(tumbling(), transcription=name, intervals=count)
+    layout = prepared.transcription.layout
+    propagation = Interval(scheme(name)).propagate(count)
+    x = np.zeros(layout.n_unknowns)
+    for k in range(count + 1):
+        x[layout.node(k)] = propagation.nodes[k]
+    for k in range(count):
+        window = x[layout.node_offset[k] : layout.node_offset[k + 1]]
+        for i in range(layout.scheme_of(0).s):
+            window[layout.local_derivative(0, i)] = propagation.y[k, i]
+    x = x / prepared.transcription.scale
+    assert set(prepared.transcription.rows.names) == {"defect", "base_dynamics"}
+    assert_allclose(prepared.nlp.engine.g(x), 0.0, atol=DEFECT)
+    solution = extract(prepared.transcription, x)
+    at_points = solution.collocation
+    given = np.array([torque(t) for t in solution.t[at_points]])
+    assert_allclose(solution.tau[at_points], given, atol=DEFECT * hopper().weight)
+
+
+COARSE, FINE = 25, 200
+MOST = 1.3  # iterations on the fine mesh over those on the coarse one, or the other way round
+SEEDS, SIGMA = (1, 2, 3), 0.1
+SAME = (
+    1e-4  # relative, of the optimum: far above a solver's tolerance, of the order of the coarse mesh's error
+)
+# A line search tries a step, its second-order corrections and shorter steps; on average few.
+EVALUATIONS = 4.0
+
+
+def prepared(name: str, intervals: int) -> PreparedProblem:
+    return prepare(problems.load(name), intervals=intervals)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["ur5-reach", "hopper-hop"])
+def test_sizes_and_nonzeros_grow_linearly(name: str) -> None:
+    found = []
+    for intervals in (24, 48, 72):  # so many that phases of 0.4, 0.3 and 0.5 s share them exactly
+        nlp = prepared(name, intervals).nlp
+        t = nlp.transcription
+        found.append([t.layout.n_unknowns, t.n_rows, len(nlp.row), len(nlp.hessian_row), len(t.linear.data)])
+    first, second = np.diff(np.array(found), axis=0)
+    assert_array_equal(first, second)
+
+
+def solved(made: PreparedProblem, seed: int) -> tuple[int, float, int]:
+    """Iterations, objective, evaluations of values."""
+    start = perturbed(made.transcription, made.guess, seed, SIGMA) if seed else made.guess
+    result = run_solver(made.nlp, start, "ipopt", StoppingCriteria(), {}, lambda *_: True)
+    assert result.status is Status.SOLVED, (seed, result.solver_status)
+    return result.iterations, result.objective, made.nlp.engine.timings()["value"][1]
+
+
+@pytest.mark.long
+def test_iterations_do_not_grow_with_the_mesh() -> None:
+    coarse, fine = ([solved(prepared("ur5-reach", n), seed) for seed in (0, *SEEDS)] for n in (COARSE, FINE))
+    own = [rows[0][0] for rows in (coarse, fine)]
+    medians = [statistics.median(row[0] for row in rows[1:]) for rows in (coarse, fine)]
+    assert max(own) <= MOST * min(own)
+    assert max(medians) <= MOST * min(medians)
+    for iterations, _, evaluations in (*coarse, *fine):
+        assert evaluations <= EVALUATIONS * (iterations + 1)
+
+
+@pytest.mark.slow
+def test_a_hop_is_solved_on_meshes_from_coarse_to_fine() -> None:
+    optima = [solved(prepared("hopper-hop", n), 0)[1] for n in (100, FINE)]
+    assert optima[0] == pytest.approx(optima[1], rel=SAME)

@@ -20,10 +20,12 @@ from trajopt.errors import InputError
 from trajopt.motion.solution import Solution
 from trajopt.robot.catalogue import robot
 from trajopt.robot.kinematics import frame_pose
+from trajopt.simulation.clock import CATCH, STRETCH, WallClock
+from trajopt.simulation.driven_scene import DrivenScene
 from trajopt.view.driving.drawing import Painter
 from trajopt.view.driving.drivers import SLOW, ArmDriver, LegsDriver
 from trajopt.view.driving.live import LiveDrive
-from trajopt.view.driving.session import CATCH, SILENCE, STRETCH, DriveSession
+from trajopt.view.driving.session import SILENCE, DriveSession
 from trajopt.view.replay.browser import FLAGS, find_chromium
 
 pytestmark = pytest.mark.long
@@ -38,18 +40,16 @@ AS_NEW = 2e-3
 SECOND = round(1 / STRETCH)
 
 
-class Instant:
-    """A clock that goes on where it is waited for, and by ``slow`` s at each look."""
+def instant(slow: float = 0.0) -> WallClock:
+    """A clock whose time goes on where it is waited for, and by ``slow`` s at each look."""
+    time = 0.0
 
-    def __init__(self, slow: float = 0.0) -> None:
-        self.time, self.slow = 0.0, slow
+    def passing(seconds: float) -> float:
+        nonlocal time
+        time += seconds
+        return time
 
-    def now(self) -> float:
-        self.time += self.slow
-        return self.time
-
-    def sleep(self, seconds: float) -> None:
-        self.time += seconds
+    return WallClock(lambda: passing(slow), passing)
 
 
 @pytest.fixture(scope="module")
@@ -59,19 +59,24 @@ def driver() -> LegsDriver:
 
 @pytest.fixture
 def session(driver: LegsDriver) -> DriveSession:
-    return DriveSession(driver, clock=Instant(), keep=2.0)
+    return DriveSession(driver, clock=instant(), keep=2.0)
 
 
 @pytest.fixture(scope="module")
 def live() -> Iterator[LiveDrive]:
-    with LiveDrive(robot("go2"), gaits=("trot",), open_browser=False, clock=Instant()) as live:
+    with LiveDrive(robot("go2"), gaits=("trot",), open_browser=False, clock=instant()) as live:
         yield live
 
 
 def turns(session: DriveSession, count: int) -> None:
-    for _ in range(count):
-        session.turn()
-        session.wait()
+    """Drive for some stretches, and wait for real time after the last."""
+    left = iter(range(count, -1, -1))
+
+    def ticks(driven: DrivenScene) -> int:
+        allowed = session.ticks(driven)
+        return allowed if next(left) else 0
+
+    session.driven.simulate(ticks)
 
 
 def base(session: DriveSession) -> np.ndarray:
@@ -85,7 +90,7 @@ def test_a_robot_follows_what_is_set_and_the_clock_is_kept(session: DriveSession
         turns(session, 1)
     assert session.driven.passed == pytest.approx(1.0)
     assert session.clock.now() == pytest.approx(1.0)
-    assert session.behind == 0
+    assert session.clock.behind == 0
     assert session.driven.fall is None
     assert base(session)[0] > MOVED
     state = json.loads(json.dumps(Painter(session).state(), allow_nan=False))
@@ -160,10 +165,10 @@ def test_without_messages_of_its_page_the_robot_is_asked_to_stand(session: Drive
 
 
 def test_what_is_too_slow_falls_behind_and_says_so(driver: LegsDriver):
-    session = DriveSession(driver, clock=Instant(slow=2 * STRETCH), keep=2.0)
+    session = DriveSession(driver, clock=instant(slow=2 * STRETCH), keep=2.0)
     turns(session, SECOND)
-    assert session.behind > 1 - CATCH
-    assert session.pace < 0.6
+    assert session.clock.behind > 1 - CATCH
+    assert session.clock.pace < 0.6
 
 
 def test_the_last_seconds_are_saved_as_a_drive(session: DriveSession, tmp_path):
@@ -184,7 +189,7 @@ def test_the_last_seconds_are_saved_as_a_drive(session: DriveSession, tmp_path):
 
 def test_a_controller_as_new_goes_on_like_another(driver: LegsDriver):
     def driven() -> np.ndarray:
-        session = DriveSession(driver, clock=Instant(), keep=2.0)
+        session = DriveSession(driver, clock=instant(), keep=2.0)
         session.obey({"gait": "trot", "speed": 0.4})
         turns(session, 20)
         return session.driven.run.data.qpos.copy()
@@ -196,13 +201,13 @@ def test_a_controller_as_new_goes_on_like_another(driver: LegsDriver):
 def test_a_slow_gait_gets_low_speeds():
     driver = LegsDriver(robot("go2"), ("walk",))
     driver.obey({"gait": "walk", "speed": driver.sliders[0].high, "lateral": 0.01})
-    assert driver.command.speed == pytest.approx(SLOW * driver.sliders[0].high)
+    assert driver.command.speed == pytest.approx(SLOW["walk"] * driver.sliders[0].high)
     assert driver.command.lateral == 0.01
 
 
 def test_the_tool_of_an_arm_follows_its_target():
     driver = ArmDriver(robot("panda"))
-    session = DriveSession(driver, clock=Instant(), keep=2.0)
+    session = DriveSession(driver, clock=instant(), keep=2.0)
     session.obey({"z": driver.values["z"] + 0.1})
     turns(session, SECOND)
     wanted = np.array([driver.values[axis] for axis in "xyz"])
@@ -214,7 +219,7 @@ def test_the_tool_of_an_arm_follows_its_target():
 
 
 def test_the_drive_of_an_arm_is_saved_with_its_figures(tmp_path):
-    session = DriveSession(ArmDriver(robot("panda")), clock=Instant(), keep=1.0)
+    session = DriveSession(ArmDriver(robot("panda")), clock=instant(), keep=1.0)
     with pytest.raises(InputError, match="nothing was simulated"):
         session.as_drive()
     driver, start = session.driver, session.driver.target.copy()
@@ -243,7 +248,7 @@ def test_the_drive_of_an_arm_is_saved_with_its_figures(tmp_path):
 
 
 def test_a_simulation_that_diverges_is_saved_up_to_there(tmp_path):
-    session = DriveSession(ArmDriver(robot("panda")), clock=Instant(), keep=1.0)
+    session = DriveSession(ArmDriver(robot("panda")), clock=instant(), keep=1.0)
     turns(session, 5)
     session.driven.run.data.qvel[:] = np.nan
     turns(session, 5)
@@ -283,7 +288,7 @@ def test_pages_of_others_cannot_steer(live: LiveDrive):
 
 def test_a_second_drive_takes_another_port_and_a_port_that_is_taken_is_told(live: LiveDrive):
     port = int(live.url.rstrip("/").rpartition(":")[2])
-    with LiveDrive(robot("panda"), target=True, open_browser=False, clock=Instant()) as second:
+    with LiveDrive(robot("panda"), target=True, open_browser=False, clock=instant()) as second:
         assert second.url != live.url
     with pytest.raises(InputError, match=f"port {port} is taken"):
         LiveDrive(robot("panda"), target=True, open_browser=False, port=port)
@@ -366,7 +371,7 @@ def test_the_target_is_dragged_in_the_picture_and_the_arm_follows():
     from playwright.sync_api import sync_playwright
 
     playing = sync_playwright()
-    with LiveDrive(robot("panda"), target=True, open_browser=False, clock=Instant()) as live, playing as on:
+    with LiveDrive(robot("panda"), target=True, open_browser=False, clock=instant()) as live, playing as on:
         browser = on.chromium.launch(executable_path=find_chromium(), args=list(FLAGS))
         page, errors = browser.new_page(has_touch=True), []
         page.on("pageerror", lambda error: errors.append(str(error)))

@@ -9,10 +9,9 @@ from scipy.ndimage import gaussian_filter1d
 
 from tests.support.browser import until
 from tests.support.replay_pages import hopping
+from trajopt import Solution, replay
 from trajopt.motion.configurations import geodesic_configurations
-from trajopt.motion.solution import Solution
 from trajopt.view.replay.browser import OpenedPage
-from trajopt.view.replay.show import replay
 
 pytestmark = pytest.mark.long
 

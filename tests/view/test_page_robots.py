@@ -19,12 +19,10 @@ from tests.support.browser import (
 )
 from tests.support.page_meshes import array_of
 from tests.support.replay_pages import objects_of, scene_of
+from trajopt import Robot, Solution, replay
 from trajopt.motion.configurations import geodesic_configurations
-from trajopt.motion.solution import Solution
-from trajopt.robot.robot import Robot
 from trajopt.view.replay.collada import ColladaError, read_collada
 from trajopt.view.replay.robot import joint_path
-from trajopt.view.replay.show import replay
 from trajopt_library import robots
 
 SIZE = (320, 240)

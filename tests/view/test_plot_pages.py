@@ -18,14 +18,12 @@ import trajopt
 from tests.support.plots import arm, drawn, jump, lines, panels, track_of
 from tests.support.problems import one_joint_arm, planar_hopper
 from tests.support.synthetic_motions import arm_motion, sampled, tumbling_flight, with_meta
-from trajopt.errors import InputError
-from trajopt.motion.solution import Solution
-from trajopt.robot.reading import read_urdf
-from trajopt.robot.robot import Robot
-from trajopt.view.plotting import style
+from trajopt import InputError, Robot, Solution
+from trajopt.robot import read_urdf
+from trajopt.view.plotting import style, write_plots
 from trajopt.view.plotting.joints import limbs_of
 from trajopt.view.plotting.track import Track, tracks_of
-from trajopt.view.plotting.writing import TOPICS, sheet_of, write_plots
+from trajopt.view.plotting.writing import TOPICS, sheet_of
 
 # CIE 1976 distance of two colours: about 2.3 is a just noticeable difference, 15 is told apart at a glance.
 APART = 15.0

@@ -13,8 +13,7 @@ from tests.support.plots import arm, drawn, jump, lines, panels, standing, track
 from tests.support.problems import hopper
 from tests.support.symbolic_interpolation import SymbolicInterpolation
 from tests.support.synthetic_motions import sampled, tumbling_flight, with_meta
-from trajopt.certify.check import check
-from trajopt.motion.solution import Solution
+from trajopt import Solution, check
 from trajopt.view.plotting.joints import limbs_of
 from trajopt.view.plotting.topics_contacts import NORMAL, stance_spans
 

@@ -17,12 +17,10 @@ from tests.support.browser import in_motion, require_chromium
 from tests.support.command_lines import assert_refused, invoke
 from tests.support.processes import TRAJOPT, Running, needs_proc, processes, run, until
 from tests.support.synthetic_motions import arm_motion, sampled
-from trajopt.errors import InputError, TrajoptError
-from trajopt.motion.solution import Solution
+from trajopt import InputError, Solution, TrajoptError, replay
 from trajopt.view.replay import video
 from trajopt.view.replay.browser import open_page
 from trajopt.view.replay.render import GAP, MOST_PICTURES, Shots, render, representative_time
-from trajopt.view.replay.show import replay
 from trajopt_library import robots
 
 SMALL = (96, 64)

@@ -15,23 +15,21 @@ from tests.support.page_meshes import array_of, distance_between, stl_points
 from tests.support.processes import LIMIT, ctrl_c_here
 from tests.support.replay_pages import objects_of, scene_of, tracks_of
 from tests.support.synthetic_motions import Motion, arm_motion, meta_of, sampled, standing, with_meta
-from trajopt.errors import InputError
+from trajopt import InputError, Robot, Solution, replay
 from trajopt.motion.configurations import geodesic_configurations
-from trajopt.motion.solution import Solution
-from trajopt.robot.data import VisualSource, robot_file
-from trajopt.robot.robot import Robot
+from trajopt.robot import robot_file
+from trajopt.robot.data import VisualSource
 from trajopt.view.replay import robot as drawn_robot
 from trajopt.view.replay.collada import ColladaError
 from trajopt.view.replay.commands import ANGLE_ERROR, POSITION_ERROR
 from trajopt.view.replay.motion import replay_motion
 from trajopt.view.replay.robot import joint_path
 from trajopt.view.replay.scene import build_scene
-from trajopt.view.replay.show import replay, serve
+from trajopt.view.replay.show import serve
 from trajopt_library import robots
 
 pytestmark = pytest.mark.long
 
-SOLO_URDF = "example-robot-data/robots/solo_description/robots/solo12.urdf"
 INTERVALS = 6
 LIFT, FLIGHT = 0.3, 0.2  # s
 VIEWER_SIZE = 0.9e6  # bytes of Meshcat's viewer, in every page

@@ -10,17 +10,15 @@ from numpy.testing import assert_allclose
 
 from tests.support.replay_pages import STANCE, objects_of, placements_of, scene_of, shown, tracks_of
 from tests.support.synthetic_motions import arm_motion, sampled, with_meta
-from trajopt.errors import InputError, SolutionFileError
+from trajopt import InputError, Solution, replay, start_of
+from trajopt.errors import SolutionFileError
 from trajopt.motion.configurations import geodesic_configurations
-from trajopt.motion.solution import Solution
-from trajopt.schedule import start_of
-from trajopt.schedule.moment import Target
+from trajopt.schedule import Target
 from trajopt.terms import FramePose, TerminalState
 from trajopt.view.replay.motion import replay_motion, replay_motions
 from trajopt.view.replay.robot import joint_path
 from trajopt.view.replay.runs import GAP, MOST_GHOSTS, ghost_frames
 from trajopt.view.replay.scene import ReplayScene, build_scene
-from trajopt.view.replay.show import replay
 from trajopt_library import robots
 
 INTERVALS = 3

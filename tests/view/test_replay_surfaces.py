@@ -8,18 +8,16 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
+from tests.support.models import placement
 from tests.support.replay_pages import flying, objects_of, on_surface, placements_of, shown
 from tests.support.synthetic_motions import Motion, arm_motion, sampled, with_meta
+from trajopt import Solution, replay
 from trajopt.errors import SolutionFileError
-from trajopt.motion.solution import Solution
-from trajopt.terrain.patch import Patch
-from trajopt.terrain.piecewise import PiecewiseTerrain
-from trajopt.terrain.surface import Surface
+from trajopt.terrain import Patch, PiecewiseTerrain, Surface
 from trajopt.view.replay.commands import Recorder
 from trajopt.view.replay.ground import GRID_LIFT
 from trajopt.view.replay.motion import replay_motion
 from trajopt.view.replay.runs import drawn_runs
-from trajopt.view.replay.show import replay
 from trajopt.view.replay.surfaces import PATCH_MARGIN, THICKNESS
 from trajopt_library import robots
 from trajopt_library.robots import solo12
@@ -47,9 +45,7 @@ def turned(solution: Solution, turn: np.ndarray, shift: np.ndarray) -> Solution:
 
 
 def foot_at(solution: Solution, frame: str = FOOT) -> np.ndarray:
-    data = solution.model.createData()
-    pin.framesForwardKinematics(solution.model, data, solution.q[0])
-    return data.oMf[solution.model.getFrameId(frame)].translation.copy()
+    return placement(solution.model, solution.q[0], frame).translation.copy()
 
 
 def surfaces_shown(scene: dict) -> list[str]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajopt.certify.contact_figures import ContactStarts, force_traces, place_traces
-from trajopt.motion.arrays import REQUESTS, SAMPLED
+from trajopt.motion.consistency import REQUESTS, SAMPLED
 from trajopt.motion.quantities import MotionQuantities
 from trajopt.motion.solution import Solution
 from trajopt.motion.traces import Trace, Traces

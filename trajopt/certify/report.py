@@ -4,6 +4,7 @@ import math
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
+from trajopt.certify.figures import Figure, MeasuredFigure, figure
 from trajopt.dynamics.virtual_base import LEAST_MARGIN
 from trajopt.motion.meta import jsonable
 from trajopt.motion.samples import largest_known
@@ -110,56 +111,6 @@ class PhaseReport:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Figure:
-    """Presentation of a figure: text, unit, the tolerance that judges it, or why none does."""
-
-    text: str
-    unit: str
-    tolerance: str | None = None
-    margin: bool = False  # a margin must not be less than minus the tolerance
-    least: bool = False  # the tolerance is the smallest value allowed
-    why: str = ""  # shown instead of a tolerance
-
-
-@dataclass(frozen=True, kw_only=True)
-class MeasuredFigure:
-    """A figure of a motion with its verdict.
-
-    Args:
-        text: what it is.
-        value: in its unit.
-        unit: as text.
-        limit: the bound of the value; None if it is not judged.
-        lower: whether the limit is a lower bound.
-        why: why it is not judged.
-        beyond: whether the value is beyond its limit.
-        place: where it is worst.
-    """
-
-    text: str
-    value: float
-    unit: str
-    limit: float | None = None
-    lower: bool = False
-    why: str = ""
-    beyond: bool = False
-    place: Occurrence | None = None
-
-    def line(self, width: int) -> str:
-        """Return a line of a table; ``width`` is that of the text."""
-        allowed = self.why if self.limit is None else f"{self.limit:10.0e}"
-        verdict, place = "beyond" if self.beyond else "", "" if self.place is None else self.place
-        figure = f"{self.text:{width}}{self.value:12.3e}  {self.unit:14}"
-        return f"{figure}{allowed:>10}  {verdict:6}  {place}".rstrip()
-
-
-def _figure(text: str, unit: str, tolerance: str | None = None, **presentation: Any) -> Any:
-    """Return a field of the report with its presentation."""
-    figure = Figure(text=text, unit=unit, tolerance=tolerance, **presentation)
-    return field(metadata={"figure": figure})
-
-
-@dataclass(frozen=True, kw_only=True)
 class CheckReport:
     """Worst figures of a solution, see ``FIGURES`` for their units; None if a figure does not apply.
 
@@ -210,94 +161,92 @@ class CheckReport:
         open_loop_...: See `reintegration.open_loop`; inf if it diverges.
     """
 
-    base_residual: float | None = _figure("base rows of the dynamics", "weight", "residual")
-    actuated_residual: float | None = _figure("actuated rows of the dynamics", "weight", "residual")
-    contact_acceleration: float | None = _figure("acceleration of active contacts", "g", "residual")
-    contact_velocity: float | None = _figure("velocity of active contacts", "m/s", why="see drift")
-    friction_margin: float | None = _figure("friction margin", "weight", "friction", margin=True)
-    friction_margin_between: float | None = _figure(
+    base_residual: float | None = figure("base rows of the dynamics", "weight", "residual")
+    actuated_residual: float | None = figure("actuated rows of the dynamics", "weight", "residual")
+    contact_acceleration: float | None = figure("acceleration of active contacts", "g", "residual")
+    contact_velocity: float | None = figure("velocity of active contacts", "m/s", why="see drift")
+    friction_margin: float | None = figure("friction margin", "weight", "friction", margin=True)
+    friction_margin_between: float | None = figure(
         "friction margin between points", "weight", "between", margin=True
     )
-    unilateral_margin: float | None = _figure("least normal force", "weight", "friction", margin=True)
-    unilateral_margin_between: float | None = _figure(
+    unilateral_margin: float | None = figure("least normal force", "weight", "friction", margin=True)
+    unilateral_margin_between: float | None = figure(
         "least normal force between points", "weight", "between", margin=True
     )
-    sole_margin: float | None = _figure("sole margin", "weight m", "friction", margin=True)
-    sole_margin_between: float | None = _figure(
+    sole_margin: float | None = figure("sole margin", "weight m", "friction", margin=True)
+    sole_margin_between: float | None = figure(
         "sole margin between points", "weight m", "between", margin=True
     )
-    sliding_friction: float | None = _figure("law of sliding friction", "weight", "residual")
-    sliding_friction_between: float | None = _figure(
+    sliding_friction: float | None = figure("law of sliding friction", "weight", "residual")
+    sliding_friction_between: float | None = figure(
         "law of sliding friction between points", "weight", "between"
     )
-    term_excess: float | None = _figure("own terms beyond bounds between points", "unit", "between")
-    inactive_force: float | None = _figure("force of inactive contacts", "weight", "residual")
-    effort_excess: float | None = _figure("torque beyond its limit", "limit", "limit")
-    effort_excess_between: float | None = _figure(
-        "torque beyond its limit between points", "limit", "between"
-    )
-    drive_torque_excess: float | None = _figure("motor torque beyond its limit", "limit", "limit")
-    drive_torque_excess_between: float | None = _figure(
+    term_excess: float | None = figure("own terms beyond bounds between points", "unit", "between")
+    inactive_force: float | None = figure("force of inactive contacts", "weight", "residual")
+    effort_excess: float | None = figure("torque beyond its limit", "limit", "limit")
+    effort_excess_between: float | None = figure("torque beyond its limit between points", "limit", "between")
+    drive_torque_excess: float | None = figure("motor torque beyond its limit", "limit", "limit")
+    drive_torque_excess_between: float | None = figure(
         "motor torque beyond its limit between points", "limit", "between"
     )
-    drive_voltage_excess: float | None = _figure("motor voltage beyond its limit", "limit", "limit")
-    drive_voltage_excess_between: float | None = _figure(
+    drive_voltage_excess: float | None = figure("motor voltage beyond its limit", "limit", "limit")
+    drive_voltage_excess_between: float | None = figure(
         "motor voltage beyond its limit between points", "limit", "between"
     )
-    velocity_excess: float | None = _figure("velocity beyond its limit", "limit", "limit")
-    velocity_excess_between: float | None = _figure(
+    velocity_excess: float | None = figure("velocity beyond its limit", "limit", "limit")
+    velocity_excess_between: float | None = figure(
         "velocity beyond its limit between samples", "limit", "between"
     )
-    position_excess: float | None = _figure("position beyond its limit", "range", "limit")
-    position_excess_between: float | None = _figure(
+    position_excess: float | None = figure("position beyond its limit", "range", "limit")
+    position_excess_between: float | None = figure(
         "position beyond its limit between samples", "range", "between"
     )
-    following_error: float | None = _figure("joints from where they follow others", "m, rad", "residual")
-    penetration: float | None = _figure("depth below the terrain", "m", "penetration")
-    link_depth: float | None = _figure("depth of links in the ground", "m", "bodies")
-    obstacle_distance: float | None = _figure("least distance from obstacles", "m", "bodies", margin=True)
-    self_distance: float | None = _figure("least distance between links", "m", "bodies", margin=True)
-    clearance_margin: float | None = _figure(
+    following_error: float | None = figure("joints from where they follow others", "m, rad", "residual")
+    penetration: float | None = figure("depth below the terrain", "m", "penetration")
+    link_depth: float | None = figure("depth of links in the ground", "m", "bodies")
+    obstacle_distance: float | None = figure("least distance from obstacles", "m", "bodies", margin=True)
+    self_distance: float | None = figure("least distance between links", "m", "bodies", margin=True)
+    clearance_margin: float | None = figure(
         "distance beyond the margin asked for", "m", "bodies", margin=True
     )
-    landing_height: float | None = _figure("height of contacts where they begin", "m", "foot_drift")
-    patch_margin: float | None = _figure("distance inside the patch", "m", "foot_drift", margin=True)
-    foot_drift: float | None = _figure("drift of active contacts", "m", "foot_drift")
-    stance_drift: float | None = _figure("drift from touchdown to lift-off", "m", "stance_drift")
-    foot_turn: float | None = _figure("turn of active soles", "rad", "foot_turn")
-    sole_tilt: float | None = _figure("tilt of active soles on their surface", "rad", "sole_tilt")
-    impact_residual: float | None = _figure("law of the impacts", "momentum", "residual")
-    impact_velocity: float | None = _figure("velocity of contacts after impacts", "speed", "residual")
-    impact_friction_margin: float | None = _figure(
+    landing_height: float | None = figure("height of contacts where they begin", "m", "foot_drift")
+    patch_margin: float | None = figure("distance inside the patch", "m", "foot_drift", margin=True)
+    foot_drift: float | None = figure("drift of active contacts", "m", "foot_drift")
+    stance_drift: float | None = figure("drift from touchdown to lift-off", "m", "stance_drift")
+    foot_turn: float | None = figure("turn of active soles", "rad", "foot_turn")
+    sole_tilt: float | None = figure("tilt of active soles on their surface", "rad", "sole_tilt")
+    impact_residual: float | None = figure("law of the impacts", "momentum", "residual")
+    impact_velocity: float | None = figure("velocity of contacts after impacts", "speed", "residual")
+    impact_friction_margin: float | None = figure(
         "friction margin of impulses", "momentum", "friction", margin=True
     )
-    impact_momentum_error: float | None = _figure("momentum across impacts", "momentum, 1 m", "residual")
-    impact_energy_gain: float | None = _figure("energy gained in impacts", "weight m", "residual")
-    state_jump: float | None = _figure("jump of state without impact", "m, rad, speed", "residual")
-    periodicity_error: float | None = _figure("last state against the first", "m, rad, speed", "residual")
-    quaternion_error: float | None = _figure("norm error of rotations", "1", "quaternion")
-    gimbal_margin: float | None = _figure("margin to gimbal lock", "1", "gimbal", least=True)
-    position_gap: float | None = _figure("q against the integral of v", "m, rad", why="see local errors")
-    velocity_gap: float | None = _figure("v against the integral of a", "m/s, rad/s", why="see local errors")
-    ballistic_error: float | None = _figure(
+    impact_momentum_error: float | None = figure("momentum across impacts", "momentum, 1 m", "residual")
+    impact_energy_gain: float | None = figure("energy gained in impacts", "weight m", "residual")
+    state_jump: float | None = figure("jump of state without impact", "m, rad, speed", "residual")
+    periodicity_error: float | None = figure("last state against the first", "m, rad, speed", "residual")
+    quaternion_error: float | None = figure("norm error of rotations", "1", "quaternion")
+    gimbal_margin: float | None = figure("margin to gimbal lock", "1", "gimbal", least=True)
+    position_gap: float | None = figure("q against the integral of v", "m, rad", why="see local errors")
+    velocity_gap: float | None = figure("v against the integral of a", "m/s, rad/s", why="see local errors")
+    ballistic_error: float | None = figure(
         "flight against the parabola", "travel", "flight", why="see local errors"
     )
-    momentum_error: float | None = _figure(
+    momentum_error: float | None = figure(
         "angular momentum in flight", "scale", "flight", why="see local errors"
     )
-    ballistic_error_between: float | None = _figure(
+    ballistic_error_between: float | None = figure(
         "flight against the parabola, between nodes", "travel", why="see local errors"
     )
-    momentum_error_between: float | None = _figure(
+    momentum_error_between: float | None = figure(
         "angular momentum in flight, between nodes", "scale", why="see local errors"
     )
-    local_position: float | None = _figure("local errors of a phase, position", "reach", "local_position")
-    local_joints: float | None = _figure("local errors of a phase, rotations", "rad", "local_joints")
-    open_loop_position: float | None = _figure("open loop, base position", "m", "open_loop_position")
-    open_loop_orientation: float | None = _figure(
+    local_position: float | None = figure("local errors of a phase, position", "reach", "local_position")
+    local_joints: float | None = figure("local errors of a phase, rotations", "rad", "local_joints")
+    open_loop_position: float | None = figure("open loop, base position", "m", "open_loop_position")
+    open_loop_orientation: float | None = figure(
         "open loop, base orientation", "rad", "open_loop_orientation"
     )
-    open_loop_joints: float | None = _figure("open loop, joints", "rad", "open_loop_joints")
+    open_loop_joints: float | None = figure("open loop, joints", "rad", "open_loop_joints")
     places: dict[str, Occurrence] = field(default_factory=dict)
     phases: tuple[PhaseReport, ...]
     notes: tuple[str, ...] = ()
@@ -330,18 +279,18 @@ class CheckReport:
     def figures(self, tolerances: Tolerances | None = None) -> tuple[MeasuredFigure, ...]:
         """Return the figures that apply, with their limits and verdicts."""
         limits, measured = tolerances or Tolerances(), []
-        for name, figure in FIGURES.items():
+        for name, shown in FIGURES.items():
             value = getattr(self, name)
-            limit = None if figure.tolerance is None else getattr(limits, figure.tolerance)
+            limit = None if shown.tolerance is None else getattr(limits, shown.tolerance)
             if value is not None:
                 measured.append(
                     MeasuredFigure(
-                        text=figure.text,
+                        text=shown.text,
                         value=value,
-                        unit=figure.unit,
-                        limit=-limit if figure.margin and limit is not None else limit,
-                        lower=figure.margin or figure.least,
-                        why=figure.why,
+                        unit=shown.unit,
+                        limit=-limit if shown.margin and limit is not None else limit,
+                        lower=shown.margin or shown.least,
+                        why=shown.why,
                         beyond=self._fails(name, limits),
                         place=self.places.get(name),
                     )
@@ -373,11 +322,7 @@ class CheckReport:
     def to_dict(self, tolerances: Tolerances | None = None) -> dict[str, Any]:
         """Return JSON-able figures by name, with verdict, phases and notes; inf and NaN become null."""
         failures = self.failures(tolerances)
-        figures = {name: getattr(self, name) for name in FIGURES}
-        phases = [asdict(phase) for phase in self.phases]
-        places = {name: asdict(place) for name, place in self.places.items()}
-        verdict = {"ok": not failures, "failures": failures}
-        return jsonable({**verdict, **figures, "phases": phases, "places": places, "notes": self.notes})
+        return jsonable({"ok": not failures, "failures": failures} | asdict(self))
 
     def table(self, tolerances: Tolerances | None = None) -> str:
         """Return one figure a line with unit, tolerance and verdict, then the phases and notes."""

@@ -69,8 +69,7 @@ def solve_aimed(
     problem: Problem, *, title: str, log: str | None = None, viewer: Watch | None = None, **arguments: Any
 ) -> SolveReport:
     """Solve, measure and refine, with progress."""
-    from trajopt.solving.budget import solve_within
-    from trajopt.solving.graded import solve_graded
+    from trajopt.solving.graded import solve_graded, solve_within
     from trajopt.solving.time_limits import OVERHEAD_TIME
 
     accuracy, budget = arguments.pop("accuracy"), arguments.pop("budget")

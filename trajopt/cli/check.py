@@ -38,12 +38,11 @@ def check_command(file: Path, accuracy: bool, reference: Path | None, as_json: b
     shown, text = report.to_dict(), report.table()
     if accuracy or reference is not None:
         from trajopt.certify.accuracy.measures import measure
-        from trajopt.certify.accuracy.table import accuracy_table
 
         with busy(f"integrating the torques of {file}"):
             accuracy_figures = measure(plan, reference)
         shown["accuracy"] = accuracy_figures.to_dict()
-        text = f"{text}\n\n{accuracy_table(accuracy_figures)}"
+        text = f"{text}\n\n{accuracy_figures.table()}"
     say(to_json(shown) if as_json else text)
     return 0 if report.ok else NOT_REACHED
 

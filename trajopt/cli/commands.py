@@ -138,7 +138,8 @@ class CommandLine(LazyGroup):
             status = super().main(args, prog_name, **extra)
             return status if isinstance(status, int) else 0
         except click.UsageError as error:
-            return _refuse(_usage(error))
+            where = error.ctx.command_path if error.ctx else "trajopt"
+            return _refuse(f"{error.format_message().rstrip('.')}; see '{where} --help'")
         except click.ClickException as error:
             return _refuse(error.format_message())
         except TrajoptError as error:
@@ -175,11 +176,6 @@ def _cancelled() -> int:
 def _refuse(message: str) -> int:
     say(f"trajopt: {' '.join(message.split())}", err=True)
     return BAD_INPUT
-
-
-def _usage(error: click.UsageError) -> str:
-    where = error.ctx.command_path if error.ctx else "trajopt"
-    return f"{error.format_message().rstrip('.')}; see '{where} --help'"
 
 
 def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:

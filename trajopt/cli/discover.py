@@ -17,7 +17,7 @@ from trajopt.cli.input import (
     value_option,
 )
 from trajopt.cli.report import console, plain_table, say, to_json
-from trajopt.errors import InputError, expanded, not_among
+from trajopt.errors import InputError, expanded, finite_number, not_among
 from trajopt.motion.output import check_output, replacing
 
 if TYPE_CHECKING:
@@ -85,6 +85,8 @@ def discover_command(
 
     if resume and output_dir is None:
         raise InputError("--resume has no folder to go on with", "allowed: with --output-dir")
+    if None not in (arguments["jobs"], arguments["scheduler"]):
+        raise InputError("--jobs has no effect here", "allowed: without --scheduler")
     for path in (schedule_out, output):
         if path is not None:
             check_output(path)
@@ -93,7 +95,9 @@ def discover_command(
 
     def show(candidate: Candidate) -> None:
         if not as_json:
-            shown.print(_line(candidate), highlight=False)
+            what = candidate.why if candidate.objective is None else f"objective {candidate.objective:.5g}"
+            line = f"{candidate.source:<16} {candidate.status:<10} {candidate.seconds:6.2f} s  {what}"
+            shown.print(line, highlight=False)
 
     arguments["known"] = not no_known
     discovery = discover(task, folder=output_dir, resume=resume, on_candidate=show, **arguments)
@@ -151,7 +155,7 @@ def _tasks(
             f"--set has no effect on the robot '{problem}'", "allowed: --goal, or a problem's name"
         )
     robot = load_robot(problem)
-    values = {name: _number(name, text) for name, text in parse_settings(goal, "--goal").items()}
+    values = {name: finite_number(name, text) for name, text in parse_settings(goal, "--goal").items()}
     for name in values:
         if name not in GOAL:
             raise not_among(GOAL, name, f"a goal has no '{name}'")
@@ -160,7 +164,7 @@ def _tasks(
     name, _, text = size.partition("=")
     if (kind, size) != ("flat", "") and OBSTACLES.get(kind) != name:
         raise InputError(f"--terrain '{terrain}' has the wrong form", TERRAIN_FORM)
-    extent = None if kind == "flat" else _number(name, text)
+    extent = None if kind == "flat" else finite_number(name, text)
 
     def make(part: float) -> ContactTask:
         way = {name: part * value for name, value in values.items()}
@@ -192,17 +196,8 @@ def _cycle(
         raise InputError(
             f"the robot of '{name}' is not clear", f"allowed: its name, or {KINDS[0]} --set robot=NAME"
         )
-    return cycle_of(load_robot(values.get("robot", name)), _number("speed", values["speed"]), span[1] or None)
-
-
-def _number(name: str, text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise InputError(f"{name} is '{text}'", "allowed: a finite number")
-    return value
+    speed = finite_number("speed", values["speed"])
+    return cycle_of(load_robot(values.get("robot", name)), speed, span[1] or None)
 
 
 def _span(text: str | None) -> tuple[float, float]:
@@ -216,11 +211,6 @@ def _span(text: str | None) -> tuple[float, float]:
     if len(parts) not in (1, 2) or not all(0 < part < math.inf for part in parts) or parts != sorted(parts):
         raise InputError(f"--time is '{text}'", TIME_FORM)
     return parts[0], parts[-1]
-
-
-def _line(candidate: Candidate) -> str:
-    what = candidate.why if candidate.objective is None else f"objective {candidate.objective:.5g}"
-    return f"{candidate.source:<16} {candidate.status:<10} {candidate.seconds:6.2f} s  {what}"
 
 
 def _print(discovery: Discovery, gait: tuple[str, float] | None) -> None:

@@ -26,9 +26,8 @@ from trajopt.motion.output import check_apart, check_solution_output
 if TYPE_CHECKING:
     from trajopt.collision import Obstacle
     from trajopt.robot.robot import Robot
-    from trajopt.simulation.arm_drive import ArmDrive
-    from trajopt.simulation.lockstep import DrivenMotion
     from trajopt.simulation.settings import Impulse
+    from trajopt.simulation.simulated import SimulatedMotion
     from trajopt.terrain.piecewise import PiecewiseTerrain
 
 # Options of drives by a script.
@@ -104,7 +103,7 @@ def drive_command(
 ) -> int:
     """Drive ROBOT in MuJoCo: from a page in the browser, or by the commands of a script.
 
-    Whole-body motions are planned anew every --period while it moves. By a script, simulated time waits for
+    Whole-body motions are replanned every --period while it moves. By a script, simulated time waits for
     the solver, and a plan is used after --plan-delay, so that the motion does not depend on times; ROBOT has
     legs and a free base, or is an arm whose tool goes to places. Without one, a page in the browser steers it
     in real time, or with --target the tool of an arm, until Ctrl-C. Exit status 0, 1 when the robot falls by
@@ -140,7 +139,7 @@ def drive_command(
 
     loaded = load(robot)
     driving = busy(f"driving {loaded.name} in MuJoCo by {script}")
-    driven: ArmDrive | DrivenMotion
+    driven: SimulatedMotion
     if loaded.base == "fixed":
         for name in ON_LEGS:
             if is_given(name):
@@ -190,7 +189,8 @@ def _live(robot: str, output: Path | None, how: dict[str, Any], **options: Any) 
         session = live.session
         if output is not None:
             session.as_drive().as_solution().save(output)
-    say(f"{loaded.name}: {session.driven.passed:.1f} s simulated, {session.behind:.1f} s behind the clock")
+    passed, behind = session.driven.passed, session.clock.behind
+    say(f"{loaded.name}: {passed:.1f} s simulated, {behind:.1f} s behind the clock")
     return 0
 
 

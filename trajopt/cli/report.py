@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import json
-import math
 import re
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 from typing_extensions import override
+
+from trajopt.errors import without_nonfinite
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -63,15 +64,7 @@ class SolveReport:
 
 def to_json(value: object) -> str:
     """One JSON object as text; NaN and infinity become null."""
-    return json.dumps(_finite(value), indent=2, allow_nan=False)
-
-
-def _finite(value: object) -> object:
-    if isinstance(value, Mapping):
-        return {str(key): _finite(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    return json.dumps(without_nonfinite(value), indent=2, allow_nan=False)
 
 
 def solve_dict(solution: Solution, report: CheckReport | None, file: Path | None) -> dict[str, Any]:

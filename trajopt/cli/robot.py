@@ -53,7 +53,7 @@ def robot_command(robot: str, base: str | None, write: Path | None, html: Path |
             unfinished.write_text(text, encoding="utf-8")
         say(f"  file       {write}: feet and posture are guesses, edit them", err=as_json)
     if html is not None:
-        from trajopt.solving.rest import rest
+        from trajopt.problem.problem import rest
         from trajopt.solving.solving import solve
         from trajopt.view.replay.show import replay
 

@@ -22,7 +22,7 @@ from trajopt.cli.input import (
 )
 from trajopt.cli.progress import busy
 from trajopt.cli.report import say, to_json
-from trajopt.errors import InputError
+from trajopt.errors import InputError, finite_number
 from trajopt.motion.output import check_apart, check_output, check_solution_output, require_ending
 
 if TYPE_CHECKING:
@@ -74,7 +74,9 @@ def simulate_command(
         if is_given(name.replace("-", "_")) and settings["controller"] != controller:
             raise InputError(f"--{name} has no effect here", f"allowed: with --controller {controller}")
     offsets = parse_settings(settings.pop("ground_offset"), "--ground-offset")
-    settings["ground_offsets"] = {frame: _metres(frame, text) for frame, text in offsets.items()}
+    settings["ground_offsets"] = {
+        frame: finite_number(f"--ground-offset for '{frame}'", text, "m") for frame, text in offsets.items()
+    }
     motion, page = _checked_outputs(output, html)
     plan = load_plan(file)
     if settings["controller"] == REPLANNING:
@@ -216,10 +218,3 @@ def _report_simulation(
     report = simulated.report
     say(to_json(report.to_dict()) if as_json else report.table())
     return 0 if report.passed else NOT_REACHED
-
-
-def _metres(frame: str, text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise InputError(f"--ground-offset for '{frame}' is '{text}'", "allowed: a number, m") from None

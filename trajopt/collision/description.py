@@ -20,7 +20,7 @@ from trajopt.collision.shapes import LinkShape, Obstacle
 from trajopt.dynamics.base_joint import BASE_ROWS
 from trajopt.errors import InputError
 from trajopt.robot.building import reach
-from trajopt.robot.mjcf_shapes import excluded_bodies
+from trajopt.robot.mjcf import excluded_bodies
 from trajopt.robot.robot import Robot
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.surface import MOST_SHAPES
@@ -43,6 +43,8 @@ OVERLAP = "in the reference posture"
 MOST_SIZE, MOST_OVERLAPS = 5.0, 0.1
 # Largest number of shapes named in a warning.
 NAMED_SHAPES = 3
+# The thinnest side of a link's box over its longest, so that it has a volume and is visible.
+THINNEST = 0.02
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -273,20 +275,30 @@ def sampled_postures(robot: Robot, count: int) -> np.ndarray:
     return np.array([pin.integrate(model, robot.reference, step) for step in steps])
 
 
-def inertia_capsules(model: pin.Model) -> tuple[LinkShape, ...]:
-    """Return capsules around the solid boxes that have the links' masses and inertias.
+def inertia_boxes(model: pin.Model) -> tuple[LinkShape, ...]:
+    """Return the solid boxes that have the links' masses and inertias, for robots without shapes.
 
-    They serve robots without shapes. I_1 = m (b^2 + c^2) / 12, and so on. The box of a hollow link is larger
-    than the link.
+    The box of a hollow link is larger than the link.
     """
-    capsules = []
+    boxes = []
     for joint in range(1, model.njoints):
-        inertia, frame = model.inertias[joint], joint_frame(model, joint)
-        moments, axes = np.linalg.eigh(inertia.inertia)  # ascending: the longest side first
-        sides = np.sqrt(np.maximum(6 * (moments.sum() - 2 * moments) / (inertia.mass or np.inf), 0.0))
-        if sides[0] > 0:
-            within = model.frames[model.getFrameId(frame)].placement
-            start, end = (within.actInv(inertia.lever + half * sides[0] * axes[:, 0]) for half in (-0.5, 0.5))
-            radius = float(np.linalg.norm(sides[1:])) / 2
-            capsules.append(LinkShape.capsule(str(model.names[joint]), frame, start, end, radius))
-    return tuple(capsules)
+        if box := box_of_inertia(model.inertias[joint]):
+            frame = joint_frame(model, joint)
+            place = model.frames[model.getFrameId(frame)].placement.actInv(box[1])
+            boxes.append(LinkShape.box(model.names[joint], frame, box[0], place.translation, place.rotation))
+    return tuple(boxes)
+
+
+def box_of_inertia(inertia: pin.Inertia) -> tuple[np.ndarray, pin.SE3] | None:
+    """Sides (3,) m and placement of the solid box of that mass and inertia; None for a point or no mass.
+
+    I_1 = m (b^2 + c^2) / 12 and so on in turn, for the sides a, b, c along the principal axes.
+    """
+    if not inertia.mass > 0:
+        return None
+    moments, axes = np.linalg.eigh(inertia.inertia)
+    axes[:, 2] *= np.sign(np.linalg.det(axes))
+    sides = np.sqrt(np.maximum(6 * (moments.sum() - 2 * moments) / inertia.mass, 0.0))
+    if not sides.max() > 0:
+        return None
+    return np.maximum(sides, THINNEST * sides.max()), pin.SE3(axes, inertia.lever)

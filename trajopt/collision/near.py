@@ -373,7 +373,7 @@ def separable_pairs(
     """Return the pairs of shapes that can be kept apart by ``margin`` m: those farther apart at ``q`` (nq,).
 
     Pairs on one link or on links connected by a joint are left out, and so are those that are nearer at
-    ``q``, because capsules are wider than what they enclose.
+    ``q``, because shapes may be wider than what they enclose.
     """
 
     def joined(first: LinkShape, second: LinkShape) -> bool:

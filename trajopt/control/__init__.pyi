@@ -3,6 +3,8 @@ from .gains import TrackerGains as TrackerGains
 from .inverse_dynamics import TaskSpaceInverseDynamics as TaskSpaceInverseDynamics
 from .inverse_dynamics import TickResult as TickResult
 from .limits import TickLimits as TickLimits
+from .reference import ReferenceTrajectory as ReferenceTrajectory
+from .reference import reference_of as reference_of
 from .robot_state import RobotState as RobotState
 from .task_space import TaskSpaceController as TaskSpaceController
 from .tasks import AngularMomentumTask as AngularMomentumTask

@@ -9,8 +9,6 @@ import numpy as np
 from trajopt.control.contact_forces import ActiveContact
 from trajopt.control.plan_targets import PlanTargets
 from trajopt.control.reference import ReferenceTrajectory
-from trajopt.motion.solution import Solution
-from trajopt.robot.natural_units import NaturalUnits
 
 # A contact that is early by less than this fraction of its swing takes load at once.
 EARLY = 1 / 3
@@ -24,15 +22,15 @@ class MeasuredContacts:
     """Contacts of a plan, switched by which contacts touch.
 
     Args:
-        plan: the tracked plan; ``reference`` and ``targets`` are of its ticks.
+        reference: the tracked plan at the ticks.
+        targets: its targets.
     """
 
-    def __init__(self, plan: Solution, reference: ReferenceTrajectory, targets: PlanTargets) -> None:
-        self.frames = [int(plan.model.getFrameId(name)) for name in plan.contact_frames]
-        self._reference, self._targets = reference, targets
-        self._lost = LOST * NaturalUnits.of(plan.model).time
-        self._soles, self._rolling = plan.description.soles.tolist(), plan.description.rolling.tolist()
-        self._sizes = [contact.half_size for contact in plan.description.contacts]
+    def __init__(self, reference: ReferenceTrajectory, targets: PlanTargets) -> None:
+        self.frames, self._reference, self._targets = reference.contact_ids, reference, targets
+        about, self._lost = reference.description, LOST * reference.units.time
+        self._soles, self._rolling = about.soles.tolist(), about.rolling.tolist()
+        self._sizes = [contact.half_size for contact in about.contacts]
         self._touched_at = np.full(len(self.frames), -np.inf)
 
     def copy(self) -> MeasuredContacts:

@@ -1,15 +1,18 @@
 """Targets of a plan for contacts, centre of mass and base at every tick, in the world."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
 
 from trajopt.control.reference import ReferenceTrajectory
-from trajopt.dynamics.base_joint import BASE_JOINT, base_of
-from trajopt.motion.carried import carrying_model
-from trajopt.motion.solution import Solution
+from trajopt.dynamics.base_joint import BASE_JOINT
 from trajopt.motion.touched import TouchedSurfaces, touched_surfaces
+from trajopt.terrain.surface import UP, Surface
+
+# Largest deviation of a level surface's normal from the vertical: feet may land elsewhere on it.
+LEVEL = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,6 +23,8 @@ class PlanTargets:
     (n, 3) the angular momentum about it, N m s. Contact frames have ``position`` (n, nc, 3), ``rotation``
     (n, nc, 3, 3), ``velocity`` and ``acceleration`` (n, nc, 6); the base joint's frame has ``base_rotation``
     (n, 3, 3), ``base_velocity`` and ``base_acceleration`` (n, 6). ``surfaces`` are under the contacts.
+    ``base`` is the index of the base joint's frame, 0 for a fixed base.
+    ``level`` (n, nc) tells whether a foot may land beside its foothold: on level ground without edges.
     ``next_stance``, ``last_stance`` (n, nc) are ticks until a contact in the air stands and since it stood.
     """
 
@@ -32,36 +37,33 @@ class PlanTargets:
     base_rotation: np.ndarray
     base_velocity: np.ndarray
     base_acceleration: np.ndarray
+    base: int
     surfaces: TouchedSurfaces
+    level: np.ndarray
     next_stance: np.ndarray
     last_stance: np.ndarray
 
 
-def base_frame(model: pin.Model) -> int:
-    """Index of the frame of a moving base's joint in the model."""
-    name = model.names[BASE_JOINT[base_of(model)]]
-    return int(model.getFrameId(name, pin.FrameType.JOINT))
-
-
-def tracking_model(plan: Solution, phase: int) -> pin.Model:
-    """The plan's model with all payloads of a phase and the frame of a moving base's joint.
+def tracking_models(reference: ReferenceTrajectory) -> list[pin.Model]:
+    """The plan's model in each phase, with all payloads and the frame of a moving base's joint.
 
     Models that do not come from a description may lack that frame.
     """
-    model, kind = carrying_model(plan, phase), base_of(plan.model)
-    if kind != "fixed" and base_frame(model) >= model.nframes:
-        model = pin.Model(model)
-        model.addJointFrame(BASE_JOINT[kind])
-    return model
+    joint, models = BASE_JOINT[reference.base], []
+    for phase in range(len(reference.description.phase_names)):
+        model = reference.carrying_model(phase)
+        if joint and not model.existFrame(model.names[joint], pin.FrameType.JOINT):
+            model = pin.Model(model)
+            model.addJointFrame(joint)
+        models.append(model)
+    return models
 
 
-def plan_targets(plan: Solution, reference: ReferenceTrajectory) -> PlanTargets:
-    """Targets of a reference by forward kinematics."""
-    models = [tracking_model(plan, phase) for phase in range(len(plan.phases))]
-    frames = [plan.model.getFrameId(name) for name in plan.contact_frames]
+def plan_targets(reference: ReferenceTrajectory, models: Sequence[pin.Model]) -> PlanTargets:
+    """Targets of a reference by forward kinematics; ``models`` as from `tracking_models`."""
+    frames, joint = reference.contact_ids, BASE_JOINT[reference.base]
     n, nc, axes = len(reference.t), len(frames), pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-    moving = base_of(plan.model) != "fixed"
-    base = base_frame(models[0]) if moving else 0
+    base = int(models[0].getFrameId(models[0].names[joint], pin.FrameType.JOINT)) if joint else 0
     com, momentum = np.zeros((n, 3, 3)), np.zeros((n, 3))
     position, rotation = np.zeros((n, nc, 3)), np.zeros((n, nc, 3, 3))
     velocity, acceleration = np.zeros((n, nc, 6)), np.zeros((n, nc, 6))
@@ -79,10 +81,14 @@ def plan_targets(plan: Solution, reference: ReferenceTrajectory) -> PlanTargets:
             position[k, i], rotation[k, i] = state_data.oMf[frame].translation, state_data.oMf[frame].rotation
             velocity[k, i] = pin.getFrameVelocity(model, state_data, frame, axes).vector
             acceleration[k, i] = pin.getFrameClassicalAcceleration(model, state_data, frame, axes).vector
-        if moving:
+        if joint:
             turned[k] = state_data.oMf[base].rotation
             rate[k] = pin.getFrameVelocity(model, state_data, base, axes).vector
             change[k] = pin.getFrameClassicalAcceleration(model, state_data, base, axes).vector
+    about = reference.description
+    next_stance, last_stance = _until(reference.active), _until(reference.active[::-1])[::-1]
+    surfaces = touched_surfaces(about, position, reference.source)
+    smooth = not about.surfaces and isinstance(about.ground, Surface)
     return PlanTargets(
         com=com,
         momentum=momentum,
@@ -93,9 +99,11 @@ def plan_targets(plan: Solution, reference: ReferenceTrajectory) -> PlanTargets:
         base_rotation=turned,
         base_velocity=rate,
         base_acceleration=change,
-        surfaces=touched_surfaces(plan, position, reference.source),
-        next_stance=_until(reference.active),
-        last_stance=_until(reference.active[::-1])[::-1],
+        base=base,
+        surfaces=surfaces,
+        level=(np.abs(surfaces.normal - UP).max(axis=2) < LEVEL) & smooth,
+        next_stance=next_stance,
+        last_stance=last_stance,
     )
 
 

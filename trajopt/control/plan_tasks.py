@@ -1,4 +1,4 @@
-"""Tasks of a tick that follows the plan: joints, forces, balance, base and contacts in the air."""
+"""Tasks of a tick, of the plan or of recovery: joints, forces, balance, base and contacts in the air."""
 
 from __future__ import annotations
 
@@ -10,43 +10,40 @@ import pinocchio as pin
 from trajopt.control.contact_forces import cross
 from trajopt.control.gains import TrackerGains
 from trajopt.control.measured_contacts import MeasuredContacts
-from trajopt.control.plan_targets import PlanTargets, base_frame, tracking_model
+from trajopt.control.plan_targets import PlanTargets
+from trajopt.control.recovery import RecoveryStep
 from trajopt.control.reference import ReferenceTrajectory
 from trajopt.control.robot_state import RobotState
 from trajopt.control.support import LOWEST, Support, next_narrow, support_of, thin_axes
 from trajopt.control.swing_tasks import SwingTasks
 from trajopt.control.tasks import CenterOfMassTask, ContactForceTask, FrameTask, PostureTask, Task
-from trajopt.dynamics.base_joint import base_of
 from trajopt.motion.cycles import moving_rows
-from trajopt.motion.solution import Solution
-from trajopt.robot.natural_units import NaturalUnits
 
 # Factor on rotations of the base about lines on which the robot balances.
 TILT_PART = 0.03
+# Factor on the weight of joints during recovery, when feet are far from the planned posture.
+RECOVERING = 0.1
 
 
 class PlanTasks:
     """Tasks of all ticks of a plan.
 
     Args:
-        plan: the tracked plan; ``reference`` and ``targets`` are of its ticks.
+        reference: the tracked plan at the ticks.
+        targets: its targets.
         gains: gains of the feedback.
     """
 
-    def __init__(
-        self, plan: Solution, reference: ReferenceTrajectory, targets: PlanTargets, gains: TrackerGains
-    ) -> None:
+    def __init__(self, reference: ReferenceTrajectory, targets: PlanTargets, gains: TrackerGains) -> None:
         self._gains, self._reference, self._targets = gains, reference, targets
-        self._units = NaturalUnits.of(plan.model)
-        self._moving = base_of(plan.model) != "fixed"
-        self._base = base_frame(tracking_model(plan, 0)) if self._moving else 0
-        self._rows = plan.actuated_rows
-        self._unit = self._units.acceleration(plan.model)[self._rows]
-        self._walks = bool(plan.description.periodicity)
+        self._units, self._rows = reference.units, reference.actuated_rows
+        self._moving = reference.base != "fixed"
+        self._unit = self._units.acceleration(reference.model)[self._rows]
+        self._walks = bool(reference.description.periodicity)
         self._stands = np.asarray(reference.active.any(axis=0))
-        self._legs = _determined_joints(plan, self._stands)
-        self._balance = Balance(plan, reference, targets, gains)
-        self._swings = SwingTasks(plan, reference, targets, gains)
+        self._legs = _determined_joints(reference, self._stands)
+        self._balance = Balance(reference, targets, gains)
+        self._swings = SwingTasks(reference, targets, gains)
 
     def copy(self) -> PlanTasks:
         """An independent copy of the tasks."""
@@ -60,20 +57,14 @@ class PlanTasks:
 
     def of(self, k: int, active: np.ndarray, contacts: MeasuredContacts, state: RobotState) -> list[Task]:
         """Tasks of tick ``k`` with the ``active`` contacts (nc,)."""
-        units, reference = self._units, self._reference
+        reference = self._reference
         planned = reference.active[k]
         flying = not (planned.any() and active.any())
         support = self._balance.support(k, active | planned, state) if self._moving and not flying else None
         tilting = support.lines if support and self._balance.lasts[k] else np.zeros((0, 3))
         tasks: list[Task] = [self._posture(k, self._joint_weights(active, flying, bool(len(tilting))))]
         if active.any():
-            tasks.append(
-                ContactForceTask(
-                    weight=self._gains.force_weight,
-                    wanted=reference.f[k],
-                    units=(units.weight, units.weight * units.length),
-                )
-            )
+            tasks.append(self._forces(reference.f[k]))
         if not self._moving:
             return tasks
         if support:
@@ -83,9 +74,43 @@ class PlanTasks:
             for i in np.flatnonzero(self._stands & ~active)
         ]
 
-    def _posture(self, k: int, weights: np.ndarray) -> PostureTask:
+    def of_recovery(self, k: int, step: RecoveryStep, state: RobotState) -> list[Task]:
+        """Tasks of tick ``k`` of recovery, in which feet share the weight; in flight of joints and feet."""
+        gains, units = self._gains, self._units
+        tasks: list[Task] = [self._posture(k, np.ones(len(self._rows)), RECOVERING * gains.joint_weight)]
+        if step.active.any():
+            position, velocity = state.centre_of_mass()[:2]
+            forces = np.zeros_like(self._reference.f[k])
+            forces[step.active, 2] = units.weight / step.active.sum()
+            centre = CenterOfMassTask(
+                weight=gains.com_weight,
+                position=position,
+                velocity=velocity,
+                acceleration=step.acceleration,
+                bandwidth=0.0,
+                unit=units.gravity,
+            )
+            tasks += [self._forces(forces), centre, self._orientation(k, np.zeros((0, 3)))]
+        return tasks + [
+            self._swings.task(
+                i,
+                pin.SE3(self._targets.rotation[k, i], path.position),
+                np.append(path.velocity, np.zeros(3)),
+                np.append(path.acceleration, np.zeros(3)),
+            )
+            for i, path in step.paths.items()
+        ]
+
+    def _forces(self, wanted: np.ndarray) -> ContactForceTask:
+        units = self._units
+        return ContactForceTask(
+            weight=self._gains.force_weight, wanted=wanted, units=(units.weight, units.weight * units.length)
+        )
+
+    def _posture(self, k: int, weights: np.ndarray, weight: float = 1.0) -> PostureTask:
         reference = self._reference
         return PostureTask(
+            weight=weight,
             q=reference.q[k],
             v=reference.v[k],
             a=reference.a[k],
@@ -100,7 +125,7 @@ class PlanTasks:
         units, targets = self._units, self._targets
         return FrameTask(
             weight=self._gains.base_weight,
-            frame=self._base,
+            frame=targets.base,
             pose=pin.SE3(targets.base_rotation[k], np.zeros(3)),
             velocity=targets.base_velocity[k],
             acceleration=targets.base_acceleration[k],
@@ -127,7 +152,7 @@ class PlanTasks:
         return np.where(swinging, gains.leg_weight, gains.joint_weight)
 
 
-def _determined_joints(plan: Solution, stands: np.ndarray) -> np.ndarray:
+def _determined_joints(plan: ReferenceTrajectory, stands: np.ndarray) -> np.ndarray:
     """Mask (nc, actuated joints) of the joints that move a foot, if its pose determines all of them."""
     actuated = plan.actuated_rows
     determined = np.zeros((len(stands), len(actuated)), dtype=bool)
@@ -155,22 +180,19 @@ class Balance:
     """Supports at the ticks of a plan, and the centre of mass over them.
 
     Args:
-        plan: the tracked plan.
-        reference: the plan at the ticks.
-        targets: targets of the plan at the ticks.
+        reference: the tracked plan at the ticks.
+        targets: its targets.
         gains: gains of the feedback.
 
     ``wide`` (n,) tells whether the planned contacts hold the body in all directions: by a sole, a held
     contact, or points that are not on a line. ``lasts`` (n,): whether the robot balances on narrow ones.
     """
 
-    def __init__(
-        self, plan: Solution, reference: ReferenceTrajectory, targets: PlanTargets, gains: TrackerGains
-    ) -> None:
-        self._units, self._gains, self._targets = NaturalUnits.of(plan.model), gains, targets
-        self._frames = [plan.model.getFrameId(name) for name in plan.contact_frames]
-        self._walks = bool(plan.description.periodicity)
-        self.wide = np.array([self._is_wide(plan, row, k) for k, row in enumerate(reference.active)])
+    def __init__(self, reference: ReferenceTrajectory, targets: PlanTargets, gains: TrackerGains) -> None:
+        self._units, self._gains, self._targets = reference.units, gains, targets
+        self._frames, self._soles = reference.contact_ids, reference.description.soles
+        self._walks = bool(reference.description.periodicity)
+        self.wide = np.array([self._is_wide(row, k) for k, row in enumerate(reference.active)])
         self.lasts = self._lasting(reference)
         # In gaits feet land where they catch the centre of mass instead.
         self._next = next_narrow(reference.active, self.wide) & (not self._walks)
@@ -231,9 +253,9 @@ class Balance:
             unit=units.gravity,
         )
 
-    def _is_wide(self, plan: Solution, active: np.ndarray, k: int) -> bool:
+    def _is_wide(self, active: np.ndarray, k: int) -> bool:
         picked = np.flatnonzero(active)
-        if plan.description.soles[picked].any() or self._targets.surfaces.bilateral[k, picked].any():
+        if self._soles[picked].any() or self._targets.surfaces.bilateral[k, picked].any():
             return True
         return len(picked) > 2 and not len(
             thin_axes(self._targets.position[k, picked], THIN * self._units.length)

@@ -22,9 +22,7 @@ from trajopt.control.plan_targets import PlanTargets
 from trajopt.control.reference import ReferenceTrajectory
 from trajopt.control.robot_state import RobotState
 from trajopt.control.support import LOWEST
-from trajopt.control.swing_tasks import level_footholds
 from trajopt.dynamics.base_joint import position_limits
-from trajopt.motion.solution import Solution
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.terrain.surface import UP
 
@@ -86,18 +84,18 @@ class Recovery:
     It acts in the last stance of plans that end at rest on four point feet on level ground.
 
     Args:
-        plan: the tracked plan; ``reference`` and ``targets`` are of its ticks.
+        reference: the tracked plan at the ticks.
+        targets: its targets.
 
     ``steps`` tells whether it ever acts.
     """
 
-    def __init__(self, plan: Solution, reference: ReferenceTrajectory, targets: PlanTargets) -> None:
-        self._targets, self._units = targets, NaturalUnits.of(plan.model)
-        self._frames = [plan.model.getFrameId(name) for name in plan.contact_frames]
-        self._feet, self._groups = _feet_of(plan, reference, targets)
+    def __init__(self, reference: ReferenceTrajectory, targets: PlanTargets) -> None:
+        self._targets, self._units, self._frames = targets, reference.units, reference.contact_ids
+        self._feet, self._groups = _feet_of(reference, targets)
         self.steps = bool(self._feet)
         self._legs: dict[int, SwingLeg] = {
-            i: swing_leg(plan.model, self._frames[i], plan.actuated_rows) for i in self._feet
+            i: swing_leg(reference.model, self._frames[i], reference.actuated_rows) for i in self._feet
         }
         self._first = self._first_tick(reference)
         self._offsets = FootholdOffsets(
@@ -292,20 +290,14 @@ def swing_height(done: float, units: NaturalUnits) -> tuple[float, float, float]
 
 
 def _feet_of(
-    plan: Solution, reference: ReferenceTrajectory, targets: PlanTargets
+    reference: ReferenceTrajectory, targets: PlanTargets
 ) -> tuple[list[int], tuple[tuple[int, ...], ...]]:
     """Feet that step and groups that swing together; none unless the plan ends standing on four feet."""
-    feet = np.flatnonzero(reference.active[-1])
-    points = all(not plan.description.contacts[i].is_sole for i in feet)
-    rests = reference.held and not plan.description.periodicity
+    feet, about = np.flatnonzero(reference.active[-1]), reference.description
+    points = all(not about.contacts[i].is_sole for i in feet)
+    rests = reference.held and not about.periodicity
     held = targets.surfaces.bilateral[-1, feet].any() or targets.surfaces.slides[-1, feet].any()
-    if (
-        len(feet) != 4
-        or not points
-        or not rests
-        or held
-        or not level_footholds(plan, targets)[-1, feet].all()
-    ):
+    if len(feet) != 4 or not points or not rests or held or not targets.level[-1, feet].all():
         return [], ()
     return feet.tolist(), diagonal_pairs(feet, targets.position[-1, feet])
 

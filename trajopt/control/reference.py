@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from trajopt.arguments import NonNegative, Positive, PositiveCount, checked
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
-from trajopt.motion.carried import carrying_model
-from trajopt.motion.cycles import CycleImage, passes_of
-from trajopt.motion.quantities import MotionQuantities
+from trajopt.motion.cycles import CycleImage, in_passes, passes_of
+from trajopt.motion.sampled_motion import SampledMotion
+from trajopt.motion.samples import contact_places
 from trajopt.motion.solution import Solution
-from trajopt.robot.natural_units import NaturalUnits
+from trajopt.motion.touched import touched_surfaces
 
 # Time for which the last posture of a plan that ends at rest is held, over sqrt(l / g), to test balance.
 HOLD = 2.0
@@ -73,25 +74,20 @@ class ContactTimeline:
         return replace(self, **rows)
 
 
-@dataclass(frozen=True, kw_only=True)
-class ReferenceTrajectory(ContactTimeline):
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ReferenceTrajectory(SampledMotion, ContactTimeline):
     """A plan at the starts of n periods of the controller.
 
+    ``a``, ``tau`` and ``drive_torque`` are those in the middle of each period; ``a`` is the mean if a phase
+    ends within it.
+
     Args:
-        q: configurations (n, nq), Pinocchio's.
-        v: velocities (n, nv).
-        a: accelerations (n, nv) in the middle of each period; their mean if a phase ends within it.
-        torque: torques of the drives (n, nu) in the middle of each period.
-        f: forces (n, nc, 6) of the surroundings on active contacts.
         end: configuration (nq,) at the end of the plan.
+        shortest: duration of the shortest phase, s.
     """
 
-    q: np.ndarray
-    v: np.ndarray
-    a: np.ndarray
-    torque: np.ndarray
-    f: np.ndarray
     end: np.ndarray
+    shortest: float
 
     @property
     def modes(self) -> list[tuple[int, int]]:
@@ -100,18 +96,37 @@ class ReferenceTrajectory(ContactTimeline):
         return list(pairwise([0, *changes.tolist(), len(self.active)]))
 
 
-def reference_of(plan: Solution, rate: float, cycles: int = 1, *, hold: float = HOLD) -> ReferenceTrajectory:
-    """Sample a plan at ``rate`` Hz, repeat it, and hold its end if it is at rest. Raises `InputError`.
+@checked
+def reference_of(
+    plan: Solution, rate: Positive, cycles: PositiveCount = 1, *, hold: NonNegative = HOLD
+) -> ReferenceTrajectory:
+    """Sample a plan at every tick of a controller, repeat it, and hold its end if it is at rest.
 
-    The hold lasts ``hold`` times sqrt(l / g).
+    Args:
+        plan: the plan.
+        rate: of the controller, Hz; rounded to a whole number of ticks in the plan.
+        cycles: of a periodic plan.
+        hold: how long the end is held, in natural times sqrt(l / g) with the robot's reach l.
+
+    Raises:
+        InputError: for more than one cycle of a plan that is not periodic, or for too many ticks.
     """
-    whole = passes_of(plan, cycles)
-    periods = float(plan.interval_t[-1, 1] - plan.interval_t[0, 0]) * rate * whole
-    require_few_ticks(periods, "a lower control_rate or fewer cycles")
-    one = _once(plan, rate)
-    if whole > 1:
-        one = _repeated(plan, one, whole)
-    return _with_hold(plan, one, hold)
+    passes = passes_of(plan, cycles)
+    start, last = float(plan.interval_t[0, 0]), float(plan.interval_t[-1, 1])
+    require_few_ticks((last - start) * rate * passes, "a lower control_rate or fewer cycles")
+    count = max(1, round((last - start) * rate))
+    period, number = (last - start) / count, np.repeat(np.arange(passes), count)
+    once, end = _once(plan, start + period * np.arange(count), period), plan.q[-1]
+    for _ in range(passes - 1):
+        end = CycleImage.of(plan).of_states(end, np.zeros(plan.model.nv))[0]
+    motion = in_passes(plan, once.at(np.tile(np.arange(count), passes)), number)
+    reference = ReferenceTrajectory(
+        **vars(replace(motion, t=motion.t + number * (last - start))),
+        period=period,
+        end=end,
+        shortest=min(plan.phase_durations),
+    )
+    return _with_hold(plan, reference, hold)
 
 
 def require_few_ticks(periods: float, remedy: str) -> None:
@@ -122,71 +137,24 @@ def require_few_ticks(periods: float, remedy: str) -> None:
         )
 
 
-def _once(plan: Solution, rate: float) -> ReferenceTrajectory:
-    start, end = float(plan.interval_t[0, 0]), float(plan.interval_t[-1, 1])
-    count = max(1, round((end - start) * rate))
-    period = (end - start) / count
-    t = start + period * np.arange(count)
-    motion, middle = plan.sample(times=t), plan.sample(times=t + period / 2)
-    return ReferenceTrajectory(
-        t=t,
-        period=period,
-        q=motion.q,
-        v=motion.v,
-        a=_mean_acceleration(plan, t, period, middle.a),
-        torque=middle.drive_torque,
-        f=motion.f,
-        active=motion.active,
-        phase=motion.phase,
-        source=motion.phase,
-        phase_names=motion.phase_names,
-        held=0,
-        end=plan.q[-1].copy(),
-    )
+def _once(plan: Solution, t: np.ndarray, period: float) -> SampledMotion:
+    """Samples at the starts ``t`` (n,) of periods, with accelerations and torques in their middles.
 
-
-def _mean_acceleration(plan: Solution, t: np.ndarray, period: float, middle: np.ndarray) -> np.ndarray:
-    """Accelerations (n, nv) in the middle of each period, or their means if a phase ends and forces jump.
-
-    A contact that lifts within a period may carry three times the weight. Without the mean, up to half a
-    period of its force would be gained or lost.
+    The acceleration is the mean if a phase ends and forces jump: a contact that lifts within a period may
+    carry three times the weight. Without the mean, up to half a period of its force would be gained or lost.
     """
-    mean = middle.copy()
     ends = np.array([plan.t[rows.start] for rows in plan.phases[1:]])
-    for k in {int(np.searchsorted(t, end, side="right")) - 1 for end in ends}:
-        last = t[k] + period
-        cuts = np.array([t[k], *ends[(ends > t[k]) & (ends < last)], last])
-        parts = np.diff(cuts)
-        mean[k] = parts @ plan.sample(times=cuts[:-1] + parts / 2).a / period
-    return mean
-
-
-def _repeated(plan: Solution, one: ReferenceTrajectory, times: int) -> ReferenceTrajectory:
-    """The reference and its images in the following cycles, ``times`` in all."""
-    image = CycleImage.of(plan)
-    parts = [one]
-    for number in range(1, times):
-        last = parts[-1]
-        q, v = image.of_states(last.q, last.v)
-        parts.append(
-            replace(
-                one,
-                t=one.t + number * image.duration,
-                q=q,
-                v=v,
-                a=image.of_accelerations(last.a),
-                torque=image.of_torques(last.torque),
-                f=image.of_contact_forces(last.f),
-                active=image.of_contacts(last.active),
-                phase=one.phase + number * len(one.phase_names),
-                end=image.of_states(last.end, np.zeros(plan.model.nv))[0],
-            )
-        )
-    joined: dict[str, Any] = {
-        name: np.concatenate([getattr(part, name) for part in parts])
-        for name in ("t", "q", "v", "a", "torque", "f", "active", "phase", "source")
+    cuts = {
+        k: np.array([t[k], *ends[(ends > t[k]) & (ends < t[k] + period)], t[k] + period])
+        for k in sorted({int(np.searchsorted(t, end, side="right")) - 1 for end in ends})
     }
-    return replace(one, **joined, phase_names=one.phase_names * times, end=parts[-1].end)
+    inner = np.concatenate([t[:1], *(cut[:-1] + np.diff(cut) / 2 for cut in cuts.values())])
+    motion, middle, parts = (plan.sample(times=times) for times in (t, t + period / 2, inner))
+    a, row = middle.a.copy(), 1
+    for k, cut in cuts.items():
+        a[k] = np.diff(cut) @ parts.a[row : row + len(cut) - 1] / period
+        row += len(cut) - 1
+    return replace(motion, a=a, tau=middle.tau, drive_torque=middle.drive_torque)
 
 
 def _at_rest(plan: Solution, reference: ReferenceTrajectory) -> tuple[np.ndarray, np.ndarray]:
@@ -194,14 +162,14 @@ def _at_rest(plan: Solution, reference: ReferenceTrajectory) -> tuple[np.ndarray
 
     A plan that has come to rest may still accelerate: its last torques would move it away again.
     """
-    model, q, actuation = carrying_model(plan, int(plan.phase[-1])), plan.q[-1], plan.actuation
+    model, q, actuation = plan.carrying_model(int(plan.phase[-1])), plan.q[-1], plan.actuation
     gravity = pin.computeGeneralizedGravity(model, model.createData(), q)
     gravity = gravity - plan.joint_force(q, np.zeros(model.nv))
     sizes = [6 if contact.is_sole else 3 for contact in plan.description.contacts]
     picked = [(i, size) for i, size in enumerate(sizes) if plan.active[-1, i]]
     levers = np.zeros((len(sizes), 3))
     if plan.description.rolling.any():
-        levers = MotionQuantities(plan).surfaces.lever[-1]
+        levers = touched_surfaces(plan.description, contact_places(plan).position, plan.phase).lever[-1]
     frames = [(plan.contact_frames[i], size) for i, size in picked]
     jacobian = contact_jacobian(model, q, frames, [levers[i] for i, _ in picked])
     forces = np.concatenate([np.zeros(0), *(reference.f[-1, i, :size] for i, size in picked)])
@@ -217,25 +185,24 @@ def _at_rest(plan: Solution, reference: ReferenceTrajectory) -> tuple[np.ndarray
 
 def _with_hold(plan: Solution, reference: ReferenceTrajectory, hold: float) -> ReferenceTrajectory:
     """The reference, with its end held for a while if the plan ends at rest."""
-    units = NaturalUnits.of(plan.model)
-    speed = np.abs(plan.v[-1]) * units.time
+    speed = np.abs(plan.v[-1]) * plan.units.time
     if plan.description.periodicity or speed.max(initial=0.0) > REST:
         return reference
-    held = math.ceil(hold * units.time / reference.period)
+    held, count = math.ceil(hold * plan.units.time / reference.period), len(reference.t)
     torque, force = _at_rest(plan, reference)
+    longer = reference.at(np.minimum(np.arange(count + held), count - 1))
     last = {
         "q": plan.q[-1],
         "v": np.zeros(plan.model.nv),
         "a": np.zeros(plan.model.nv),
-        "torque": torque,
+        "tau": torque,
+        "drive_torque": torque,
         "f": force,
-        "active": reference.active[-1],
         "phase": np.array(len(reference.phase_names)),
-        "source": reference.source[-1],
     }
     after: dict[str, Any] = {
         name: np.concatenate([getattr(reference, name), np.repeat(value[None], held, axis=0)])
         for name, value in last.items()
     }
-    t = reference.t[0] + reference.period * np.arange(len(reference.t) + held)
-    return replace(reference, **after, t=t, phase_names=(*reference.phase_names, "hold"), held=held)
+    t = reference.t[0] + reference.period * np.arange(count + held)
+    return replace(longer, **after, t=t, phase_names=(*reference.phase_names, "hold"), held=held)

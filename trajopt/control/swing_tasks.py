@@ -15,36 +15,28 @@ from trajopt.control.reference import ReferenceTrajectory
 from trajopt.control.robot_state import RobotState
 from trajopt.control.support import Support
 from trajopt.control.tasks import FrameTask
-from trajopt.motion.solution import Solution
-from trajopt.robot.natural_units import NaturalUnits
-from trajopt.terrain.surface import UP, Surface
 
 # Rate of the pendulum after a flight, times sqrt(l / g): legs half as long as the reach.
 FLYING = 2.0**0.5
-# Largest deviation of a level surface's normal from the vertical: feet may land elsewhere on it.
-LEVEL = 1e-3
 
 
 class SwingTasks:
     """Tasks of contacts in the air, with the offsets of feet from the plan as state.
 
     Args:
-        plan: the tracked plan; ``reference`` and ``targets`` are of its ticks.
+        reference: the tracked plan at the ticks.
+        targets: its targets.
         gains: gains of the feedback.
     """
 
-    def __init__(
-        self, plan: Solution, reference: ReferenceTrajectory, targets: PlanTargets, gains: TrackerGains
-    ) -> None:
-        self._units, self._gains = NaturalUnits.of(plan.model), gains
-        self._targets, self._period = targets, reference.period
-        self._frames = [plan.model.getFrameId(name) for name in plan.contact_frames]
-        self._soles = plan.description.soles
-        self._level = level_footholds(plan, targets)
+    def __init__(self, reference: ReferenceTrajectory, targets: PlanTargets, gains: TrackerGains) -> None:
+        self._units, self._gains, self._targets = reference.units, gains, targets
+        self._period, self._frames = reference.period, reference.contact_ids
+        self._soles = reference.description.soles
         period, length, time = reference.period, self._units.length, self._units.time
         self._offsets = FootholdOffsets(len(self._frames), period=period, length=length, time=time)
         self._steady = SteadyError(rate=gains.steady / time, period=period, length=length, time=time)
-        self._walks = bool(plan.description.periodicity)
+        self._walks = bool(reference.description.periodicity)
 
     def copy(self) -> SwingTasks:
         """An independent copy of the tasks."""
@@ -70,14 +62,19 @@ class SwingTasks:
             speed = PRESSED * np.sqrt(units.gravity * units.length)
             position -= normal * min(speed * late, DEEPEST * units.length)
             velocity[:3] -= normal * speed
-        if self._gains.placement and self._level[k, i]:
+        if self._gains.placement and targets.level[k, i]:
             acceleration[:2] += self._beside(i, k, support, state)
             position[:2] += self._offsets.offset[i]
             velocity[:2] += self._offsets.rate[i]
+        return self.task(i, pin.SE3(targets.rotation[k, i], position), velocity, acceleration)
+
+    def task(self, i: int, pose: pin.SE3, velocity: np.ndarray, acceleration: np.ndarray) -> FrameTask:
+        """The task of contact ``i`` to have a pose, a velocity (6,) and an acceleration (6,)."""
+        units = self._units
         return FrameTask(
             weight=self._gains.foot_weight,
             frame=self._frames[i],
-            pose=pin.SE3(targets.rotation[k, i], position),
+            pose=pose,
             velocity=velocity,
             acceleration=acceleration,
             bandwidth=self._gains.foot / units.time,
@@ -97,10 +94,3 @@ class SwingTasks:
         """Errors of the centre of mass (3,), m, and of its velocity (3,), m/s."""
         position, velocity, _, _ = state.centre_of_mass()
         return position - self._targets.com[k, 0], velocity - self._targets.com[k, 1]
-
-
-def level_footholds(plan: Solution, targets: PlanTargets) -> np.ndarray:
-    """Mask (n, nc) of feet that may land beside their footholds: those on level ground without edges."""
-    smooth = not plan.description.surfaces and isinstance(plan.description.ground, Surface)
-    level = np.abs(targets.surfaces.normal - UP).max(axis=2) < LEVEL
-    return np.asarray(level & smooth)

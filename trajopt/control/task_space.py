@@ -114,6 +114,7 @@ def standing_contact(robot: Robot, contact: Contact, friction: float) -> ActiveC
         normal=UP,
         friction=friction,
         half_size=(contact.half_length, contact.half_width),
+        lever=contact.radius * UP if contact.rolling else None,
     )
 
 

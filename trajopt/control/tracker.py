@@ -6,24 +6,22 @@ import copy
 import time
 
 import numpy as np
+import pinocchio as pin
 
 from trajopt.arguments import Positive, PositiveCount, checked
 from trajopt.control.gains import TrackerGains
 from trajopt.control.inverse_dynamics import RELAXED, TaskSpaceInverseDynamics, TickResult
 from trajopt.control.limits import RobotLimits, torque_limits
 from trajopt.control.measured_contacts import MeasuredContacts
-from trajopt.control.plan_targets import PlanTargets, plan_targets, tracking_model
+from trajopt.control.plan_targets import PlanTargets, plan_targets, tracking_models
 from trajopt.control.plan_tasks import PlanTasks
 from trajopt.control.quadratic_programs import QpSolverName
 from trajopt.control.recovery import Recovery
-from trajopt.control.recovery_tasks import RecoveryTasks
 from trajopt.control.reference import ReferenceTrajectory, reference_of
 from trajopt.control.robot_state import RobotState
 from trajopt.control.tick_request import TickCounts, TickRequest
 from trajopt.errors import InputError
 from trajopt.motion.input import SolutionOrFile, require_motion, solution_of
-from trajopt.motion.solution import Solution
-from trajopt.robot.natural_units import NaturalUnits
 from trajopt.robot.robot import Robot
 
 # Number of ticks over which joints brake before their limits.
@@ -65,29 +63,41 @@ class Tracker:
     ) -> None:
         plan = require_motion(solution_of(solution))
         if robot is not None:
-            _require_robot(plan, robot)
-        shortest = min(float(np.ptp(plan.t[list(rows)])) for rows in plan.phases)
-        if rate * shortest < 1:
+            _require_robot(plan.model, robot)
+        self._track(reference_of(plan, rate, cycles), rate, gains, solver)
+
+    @classmethod
+    def of_reference(
+        cls, reference: ReferenceTrajectory, rate: float, gains: TrackerGains, solver: QpSolverName
+    ) -> Tracker:
+        """A tracker of a plan that is already sampled at ``rate`` Hz. Raises `InputError`."""
+        tracker = cls.__new__(cls)
+        tracker._track(reference, rate, gains, solver)
+        return tracker
+
+    def _track(
+        self, reference: ReferenceTrajectory, rate: float, gains: TrackerGains, solver: QpSolverName
+    ) -> None:
+        if rate * reference.shortest < 1:
             raise InputError(
-                f"a tick of {1 / rate:g} s is longer than a phase of {shortest:g} s",
-                f"allowed: a rate of {1 / shortest:g} Hz or more",
+                f"a tick of {1 / rate:g} s is longer than a phase of {reference.shortest:g} s",
+                f"allowed: a rate of {1 / reference.shortest:g} Hz or more",
             )
-        self.plan, self.gains, self.solver = plan, gains, solver
-        self.reference: ReferenceTrajectory = reference_of(plan, rate, cycles)
-        self.targets: PlanTargets = plan_targets(plan, self.reference)
-        self.units = NaturalUnits.of(plan.model)
+        self.reference, self.gains, self.solver, self.units = reference, gains, solver, reference.units
+        self._models = tracking_models(reference)
+        self.targets: PlanTargets = plan_targets(reference, self._models)
         self.counts = TickCounts()
         self.last: TickResult | None = None
-        self.request = TickRequest.none(len(plan.contact_frames))
+        self.request = TickRequest.none(len(reference.contact_frames))
         self._programs: dict[int, TaskSpaceInverseDynamics] = {}
-        torque = torque_limits(plan.description, plan.tau.shape[1])
-        fastest, horizon = plan.description.velocity_limit, HORIZON * self.reference.period
-        self._limits = RobotLimits(plan.model, plan.actuation, plan.drives, torque, fastest, horizon)
-        tracked = plan, self.reference, self.targets
-        self._contacts = MeasuredContacts(*tracked)
-        self._tasks = PlanTasks(*tracked, gains)
-        self._recovery = Recovery(*tracked)
-        self._recovery_tasks = RecoveryTasks(*tracked, gains) if self._recovery.steps else None
+        about, horizon = reference.description, HORIZON * reference.period
+        torque = torque_limits(about, reference.tau.shape[1])
+        self._limits = RobotLimits(
+            reference.model, reference.actuation, reference.drives, torque, about.velocity_limit, horizon
+        )
+        self._contacts = MeasuredContacts(reference, self.targets)
+        self._tasks = PlanTasks(reference, self.targets, gains)
+        self._recovery = Recovery(reference, self.targets)
 
     def copy(self) -> Tracker:
         """An independent copy of the tracker, which shares the counts of ticks."""
@@ -128,10 +138,10 @@ class Tracker:
         active = self._contacts.active(k, contacts) if step is None else step.active
         self._tasks.stand(k, active, state)
         taken = [self._contacts.of(int(i), k) for i in np.flatnonzero(active)]
-        if step is None or self._recovery_tasks is None:
+        if step is None:
             tasks = self._tasks.of(k, active, self._contacts, state)
         else:
-            tasks = self._recovery_tasks.of(k, step, state)
+            tasks = self._tasks.of_recovery(k, step, state)
         result = program.solve(taken, tasks, self._limits.at(q, v))
         self.request = TickRequest.of(result.forces, taken, tasks, self.targets.com[k, 0], frames)
         self.counts.relaxed[result.relaxed] += 1
@@ -145,30 +155,29 @@ class Tracker:
 
     def _program(self, phase: int) -> TaskSpaceInverseDynamics:
         if phase not in self._programs:
-            model, damping = tracking_model(self.plan, phase), self.gains.contact
-            state = RobotState(model, self.plan.description.joint_forces)
+            state = RobotState(self._models[phase], self.reference.description.joint_forces)
             self._programs[phase] = TaskSpaceInverseDynamics.of(
-                state, self.plan.actuation, self.units, damping=damping, solver=self.solver
+                state, self.reference.actuation, self.units, damping=self.gains.contact, solver=self.solver
             )
         return self._programs[phase]
 
     def _held(self, k: int, program: TaskSpaceInverseDynamics) -> np.ndarray:
         """Planned torques with joint feedback, for ticks whose program has no solution."""
         reference, bandwidth = self.reference, self.gains.joint / self.units.time
-        held = program.held(bandwidth, reference.q[k], reference.v[k], reference.torque[k])
+        held = program.held(bandwidth, reference.q[k], reference.v[k], reference.drive_torque[k])
         return np.asarray(np.clip(held, *self._limits.torque))
 
 
-def _require_robot(plan: Solution, robot: Robot) -> None:
-    """Raise `InputError` if the joints of a plan are not those of a robot."""
+def _require_robot(own: pin.Model, robot: Robot) -> None:
+    """Raise `InputError` if the joints of a plan's model are not those of a robot."""
     planned, robots = (
         [(name, joint.shortname()) for name, joint in zip(model.names, model.joints, strict=True)]
-        for model in (plan.model, robot.model)
+        for model in (own, robot.model)
     )
     if planned != robots:
         missing = next((name for name, _ in planned if name not in robot.model.names), None)
         cause = f"it has no joint '{missing}'" if missing else "its joints have another order or other kinds"
         raise InputError(
-            f"the plan is of '{plan.model.name}', not of '{robot.name}': {cause}",
+            f"the plan is of '{own.name}', not of '{robot.name}': {cause}",
             f"allowed: a plan with the joints {', '.join(list(robot.model.names)[1:])}",
         )

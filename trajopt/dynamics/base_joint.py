@@ -10,7 +10,6 @@ import numpy as np
 import pinocchio as pin
 
 Base = Literal["freeflyer", "virtual", "planar", "fixed"]
-BASES: tuple[Base, ...] = ("freeflyer", "virtual", "planar", "fixed")
 BASE_ROWS: dict[Base, int] = {"freeflyer": 6, "virtual": 6, "planar": 3, "fixed": 0}
 BASE_COORDINATES: dict[Base, int] = {"freeflyer": 7, "virtual": 6, "planar": 4, "fixed": 0}
 # The joint that carries the base link: the last of the virtual ones.

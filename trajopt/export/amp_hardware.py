@@ -39,29 +39,29 @@ def write_amp_hardware(motions: Sequence[ExportedMotion], path: Path, options: M
     legs = [by_name[name] for name in ORDER]
     columns = [column for leg in legs for column in leg.columns]
     feet = [leg.foot for leg in legs]
-    contacts = [motion.plan.contact_frames.index(foot) for foot in feet]
+    contacts = [motion.contact_frames.index(foot) for foot in feet]
     base = _base(motion)
     position, velocity = _feet_on_base(motion, base, feet)
     frames = [
         base.position,
         base.quaternion[:, [1, 2, 3, 0]],
-        motion.joint_position[:, columns],
+        motion.joints.position[:, columns],
         position,
         base.linear,
         base.angular,
-        motion.joint_velocity[:, columns],
+        motion.joints.velocity[:, columns],
         velocity,
     ]
     described = {
-        "LoopMode": "Wrap" if motion.plan.description.periodicity else "Clamp",
+        "LoopMode": "Wrap" if motion.description.periodicity else "Clamp",
         "FrameDuration": 1.0 / motion.rate,
         "EnableCycleOffsetPosition": True,
         "EnableCycleOffsetRotation": True,
         "MotionWeight": 1.0,
         "Frames": np.hstack(frames).tolist(),
-        "JointNames": [motion.joint_names[column] for column in columns],
+        "JointNames": [motion.joints.names[column] for column in columns],
         "ToeNames": feet,
-        "JointTorques": motion.joint_torque[:, columns].tolist(),
+        "JointTorques": motion.joints.torque[:, columns].tolist(),
         "ToeContacts": motion.active[:, contacts].astype(int).tolist(),
         "ToeForces": motion.f[:, contacts, :3].reshape(len(motion.t), -1).tolist(),
     }
@@ -120,11 +120,11 @@ def three_joint_legs(motion: ExportedMotion) -> dict[str, Leg]:
 
     Raises `InputError` for any other robot.
     """
-    model, feet = motion.model, motion.plan.contact_frames
+    model, feet = motion.model, motion.contact_frames
     base = BASE_JOINT[base_of(model)]
-    if BASE_ROWS[base_of(model)] != 6 or len(feet) != 4 or len(motion.joint_names) != 4 * JOINTS:
+    if BASE_ROWS[base_of(model)] != 6 or len(feet) != 4 or len(motion.joints.names) != 4 * JOINTS:
         raise InputError(
-            f"{motion.robot} has {len(feet)} contacts and {len(motion.joint_names)} joints", ALLOWED
+            f"{motion.robot} has {len(feet)} contacts and {len(motion.joints.names)} joints", ALLOWED
         )
     ends = [model.frames[model.getFrameId(foot)].parentJoint for foot in feet]
     chains = [list(model.supports[end])[base + 1 :] for end in ends]
@@ -137,6 +137,6 @@ def three_joint_legs(motion: ExportedMotion) -> dict[str, Leg]:
     for place, pair in (("F", by_x[:2]), ("R", by_x[2:])):
         right, left = sorted(pair, key=lambda i: hips[i, 1])
         for side, i in (("R", right), ("L", left)):
-            columns = tuple(motion.joint_names.index(model.names[joint]) for joint in chains[i])
+            columns = tuple(motion.joints.names.index(model.names[joint]) for joint in chains[i])
             legs[place + side] = Leg(foot=feet[i], columns=columns)
     return legs

@@ -31,7 +31,7 @@ def contact_arrays(motion: ExportedMotion) -> dict[str, np.ndarray]:
     (n, nc, 3) N and N m of the surroundings on the robot, world axes at the frames' origins.
     """
     return {
-        "contact_names": names_array(motion.plan.contact_frames),
+        "contact_names": names_array(motion.contact_frames),
         "contact_active": motion.active,
         "contact_forces": single(motion.f[..., :3]),
         "contact_moments": single(motion.f[..., 3:]),

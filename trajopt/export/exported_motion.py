@@ -1,135 +1,93 @@
 """A motion as exported: evenly sampled, cycle after cycle, with joints and links by name."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-import pinocchio as pin
 
 from trajopt.arguments import Positive, PositiveCount, checked
-from trajopt.dynamics.base_joint import BASE_JOINT, base_of
+from trajopt.dynamics.base_joint import BASE_JOINT
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError
 from trajopt.export.formats import RATE
 from trajopt.export.links import LinkMotion, link_motion
 from trajopt.motion.consistency import SAME_TIME
-from trajopt.motion.cycles import CycleImage, passes_of
+from trajopt.motion.cycles import in_passes, passes_of
 from trajopt.motion.input import SolutionOrFile, require_motion, solution_of
-from trajopt.motion.sampling import MOST_SAMPLES
+from trajopt.motion.sampled_motion import MOST_SAMPLES, SampledMotion
 from trajopt.motion.solution import Solution
-from trajopt.pickling import picklable
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class SingleJoints:
-    """Joints of one degree of freedom: names (d,), rows (d,) in v, and places (d,) of their first entry in q.
+class JointMotion:
+    """The d joints other than a moving base at n times, in Pinocchio's order; SI units.
 
-    counted: (d,) whether q holds the cosine and sine of the angle.
+    names: (d,). position: (n, d), with whole turns. velocity, acceleration: (n, d).
+    torque: (n, d) of the drives; 0 for passive joints.
     """
 
     names: tuple[str, ...]
-    rows: np.ndarray
-    places: np.ndarray
-    counted: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    torque: np.ndarray
+
+    @classmethod
+    def of(cls, motion: SampledMotion) -> JointMotion:
+        """Read the joints of a motion; raises `InputError` for one with several degrees of freedom."""
+        single = Coordinates(motion.model).joints[BASE_JOINT[motion.base] :]
+        for joint in single:
+            if joint.v.stop - joint.v.start != 1:
+                raise InputError(
+                    f"joint '{joint.name}' has several degrees of freedom",
+                    "allowed: one, beside a moving base",
+                )
+        rows = np.array([joint.v.start for joint in single], dtype=int)
+        position = motion.q[:, [joint.q.start for joint in single]]
+        for column, joint in enumerate(single):
+            if joint.is_counted:
+                position[:, column] = counted_angle(motion.q[:, joint.q], motion.v[:, rows[column]], motion.t)
+        return cls(
+            names=tuple(joint.name for joint in single),
+            position=position,
+            velocity=motion.v[:, rows],
+            acceleration=motion.a[:, rows],
+            torque=motion.actuation.force(motion.drive_torque)[:, rows],
+        )
 
 
-def single_joints(plan: Solution) -> SingleJoints:
-    """The joints other than the base; raises `InputError` for one with several degrees of freedom."""
-    single = Coordinates(plan.model).joints[BASE_JOINT[base_of(plan.model)] :]
-    for joint in single:
-        if joint.v.stop - joint.v.start != 1:
-            raise InputError(
-                f"joint '{joint.name}' has several degrees of freedom", "allowed: one, beside a moving base"
-            )
-    return SingleJoints(
-        names=tuple(joint.name for joint in single),
-        rows=np.array([joint.v.start for joint in single], dtype=int),
-        places=np.array([joint.q.start for joint in single], dtype=int),
-        counted=np.array([joint.is_counted for joint in single], dtype=bool),
-    )
+def counted_angle(q: np.ndarray, v: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Angle (n,), rad, of a joint at times ``t`` (n,) from its cosine and sine (n, 2) and its rate (n,).
 
-
-def joint_angles(joints: SingleJoints, q: np.ndarray, v: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Positions (n, d) of joints at times ``t`` (n,), rad or m; continuous where q has cosine and sine.
-
-    The velocities tell how many whole turns a continuous joint makes from sample to sample.
+    The rate tells how many whole turns the joint makes from sample to sample.
     """
-    angles = q[:, joints.places]
-    for column in np.flatnonzero(joints.counted):
-        place = joints.places[column]
-        angle = np.arctan2(q[:, place + 1], q[:, place])
-        rate = v[:, joints.rows[column]]
-        expected = (rate[1:] + rate[:-1]) / 2 * np.diff(t)
-        turns = np.round((expected - np.diff(angle)) / (2 * np.pi))
-        angles[:, column] = angle + 2 * np.pi * np.append(0.0, np.cumsum(turns))
-    return angles
+    angle = np.arctan2(q[:, 1], q[:, 0])
+    expected = (v[1:] + v[:-1]) / 2 * np.diff(t)
+    turns = np.round((expected - np.diff(angle)) / (2 * np.pi))
+    return np.asarray(angle + 2 * np.pi * np.append(0.0, np.cumsum(turns)))
 
 
-@picklable
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ExportedMotion:
-    """A motion at n times, ``rate`` per second; SI units, world axes unless stated; arrays are read-only.
+class ExportedMotion(SampledMotion):
+    """A motion at n times, ``rate`` per second from 0 s, of all cycles one after the other.
 
     Args:
         plan: the solution.
-        cycles: number of repetitions of a periodic plan.
-        t: (n,) s, from 0.
-        q: (n, nq) of Pinocchio, quaternions xyzw.
-        v: (n, nv), the twist of the base along its axes.
-        a: (n, nv).
-        tau: (n, nu), as in `SampledMotion`.
-        drive_torque: (n, nu), as in `SampledMotion`.
-        f: (n, nc, 6), wrenches of the plan's contacts.
-        active: (n, nc), whether contacts are active.
-        phase: (n,) index into ``phase_names``, which holds the phases of all cycles one after the other.
-        joint_names: the d joints other than a moving base, in Pinocchio's order.
-        joint_position: (n, d), with whole turns.
-        joint_velocity: (n, d).
-        joint_acceleration: (n, d).
-        joint_torque: (n, d) of the drives; 0 for passive joints.
-        links: poses and velocities of all links.
+        rate: samples per second, Hz.
+        joints: the joints other than a moving base.
     """
 
     plan: Solution
     rate: float
-    cycles: int
-    t: np.ndarray
-    q: np.ndarray
-    v: np.ndarray
-    a: np.ndarray
-    tau: np.ndarray
-    drive_torque: np.ndarray
-    f: np.ndarray
-    active: np.ndarray
-    phase: np.ndarray
-    phase_names: tuple[str, ...]
-    joint_names: tuple[str, ...]
-    joint_position: np.ndarray
-    joint_velocity: np.ndarray
-    joint_acceleration: np.ndarray
-    joint_torque: np.ndarray
-    links: LinkMotion
+    joints: JointMotion
 
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, np.ndarray):
-                value.setflags(write=False)
-
-    @property
-    def model(self) -> pin.Model:
-        """The model that was optimised."""
-        return self.plan.model
-
-    @property
-    def robot(self) -> str:
-        """Name of the robot."""
-        return str(self.plan.description.robot)
-
-    @property
-    def problem(self) -> str:
-        """Name of the problem."""
-        return str(self.plan.description.problem)
+    @cached_property
+    def links(self) -> LinkMotion:
+        """Poses and velocities of all links, in the world."""
+        return link_motion(self.model, self.q, self.v)
 
 
 @checked
@@ -151,22 +109,14 @@ def sample_cycles(
             or joints other than the base with several degrees of freedom.
     """
     plan = require_motion(solution_of(solution))
-    joints = single_joints(plan)
     passes = passes_of(plan, cycles)
     start, end = float(plan.interval_t[0, 0]), float(plan.interval_t[-1, 1])
     times = _even_times((end - start) * passes, rate)
     slack = SAME_TIME * (end - start)
     number = np.clip(np.floor((times + slack) / (end - start)).astype(int), 0, passes - 1)
     samples = plan.sample(times=np.clip(start + times - number * (end - start), start, end))
-    arrays = {
-        name: np.array(getattr(samples, name))
-        for name in ("q", "v", "a", "tau", "drive_torque", "f", "active")
-    }
-    if passes > 1:
-        _move_on(CycleImage.of(plan), arrays, number, passes)
-    return _named_motion(
-        plan, joints, arrays, rate=rate, cycles=cycles, t=times, number=number, phase=samples.phase
-    )
+    moved = replace(in_passes(plan, samples, number), t=times)
+    return ExportedMotion(**vars(moved), plan=plan, rate=float(rate), joints=JointMotion.of(moved))
 
 
 def _even_times(duration: float, rate: float) -> np.ndarray:
@@ -176,47 +126,6 @@ def _even_times(duration: float, rate: float) -> np.ndarray:
             f"rate is {rate:g} Hz, {steps:.3g} samples in {duration:g} s", f"allowed: {MOST_SAMPLES} samples"
         )
     return np.arange(int(steps * (1 + SAME_TIME) + SAME_TIME) + 1) / rate
-
-
-def _move_on(image: CycleImage, arrays: dict[str, np.ndarray], number: np.ndarray, passes: int) -> None:
-    """Replace samples of pass ``number`` (n,) by their images, once per preceding pass."""
-    for past in range(1, passes):
-        rows = number >= past
-        arrays["q"][rows], arrays["v"][rows] = image.of_states(arrays["q"][rows], arrays["v"][rows])
-        arrays["a"][rows] = image.of_accelerations(arrays["a"][rows])
-        for name in ("tau", "drive_torque"):
-            arrays[name][rows] = image.of_torques(arrays[name][rows])
-        arrays["f"][rows] = image.of_contact_forces(arrays["f"][rows])
-        arrays["active"][rows] = image.of_contacts(arrays["active"][rows])
-
-
-def _named_motion(
-    plan: Solution,
-    joints: SingleJoints,
-    arrays: dict[str, np.ndarray],
-    *,
-    rate: float,
-    cycles: int,
-    t: np.ndarray,
-    number: np.ndarray,
-    phase: np.ndarray,
-) -> ExportedMotion:
-    torque = plan.actuation.force(arrays["drive_torque"])
-    return ExportedMotion(
-        plan=plan,
-        rate=float(rate),
-        cycles=cycles,
-        t=t,
-        **arrays,
-        phase=phase + number * len(plan.phase_names),
-        phase_names=plan.phase_names * (int(number[-1]) + 1),
-        joint_names=joints.names,
-        joint_position=joint_angles(joints, arrays["q"], arrays["v"], t),
-        joint_velocity=arrays["v"][:, joints.rows],
-        joint_acceleration=arrays["a"][:, joints.rows],
-        joint_torque=torque[:, joints.rows],
-        links=link_motion(plan.model, arrays["q"], arrays["v"]),
-    )
 
 
 def require_one_robot(motions: Sequence[ExportedMotion]) -> None:

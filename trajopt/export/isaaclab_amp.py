@@ -14,14 +14,14 @@ def write_isaaclab_amp(motions: Sequence[ExportedMotion], path: Path, options: M
     links = motion.links
     arrays = {
         "fps": frame_rate(motion.rate),
-        "dof_names": names_array(motion.joint_names),
+        "dof_names": names_array(motion.joints.names),
         "body_names": names_array(links.names),
-        "dof_positions": single(motion.joint_position),
-        "dof_velocities": single(motion.joint_velocity),
+        "dof_positions": single(motion.joints.position),
+        "dof_velocities": single(motion.joints.velocity),
         "body_positions": single(links.position),
         "body_rotations": single(links.quaternion),
         "body_linear_velocities": single(links.linear_velocity),
         "body_angular_velocities": single(links.angular_velocity),
-        "dof_torques": single(motion.joint_torque),
+        "dof_torques": single(motion.joints.torque),
     }
     write_archive(path, arrays | contact_arrays(motion))

@@ -79,10 +79,10 @@ def _features_of(motion: ExportedMotion, *, episode: int, start: int, task: int)
     frames, count = np.arange(len(motion.t)), len(motion.t)
     features = {
         "observation.state": _vector(
-            np.hstack([motion.joint_position, motion.joint_velocity]),
-            [f"{name}.pos" for name in motion.joint_names] + [f"{name}.vel" for name in motion.joint_names],
+            np.hstack([motion.joints.position, motion.joints.velocity]),
+            [f"{name}.pos" for name in motion.joints.names] + [f"{name}.vel" for name in motion.joints.names],
         ),
-        "action": _vector(motion.drive_torque, [f"{name}.torque" for name in motion.plan.torque_names]),
+        "action": _vector(motion.drive_torque, [f"{name}.torque" for name in motion.torque_names]),
         **_base_features(motion),
         **_contact_features(motion),
         "timestamp": Feature(values=(frames / motion.rate).astype(np.float32)),
@@ -114,8 +114,8 @@ def _base_features(motion: ExportedMotion) -> dict[str, Feature]:
 
 def _contact_features(motion: ExportedMotion) -> dict[str, Feature]:
     """Active contacts, forces, and moments of soles and rolling balls; world axes."""
-    frames, count = motion.plan.contact_frames, len(motion.t)
-    turning = np.flatnonzero(motion.plan.description.soles | motion.plan.description.rolling).tolist()
+    frames, count = motion.contact_frames, len(motion.t)
+    turning = np.flatnonzero(motion.description.soles | motion.description.rolling).tolist()
     force = motion.f[..., :3].reshape(count, -1)
     moment = motion.f[:, turning, 3:].reshape(count, -1)
     return {

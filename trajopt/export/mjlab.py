@@ -41,6 +41,6 @@ def _torques(motion: ExportedMotion, names: list[str]) -> np.ndarray:
     """Torques (n, d) of joints by name; 0 for those that the motion does not drive, such as a base's."""
     torque = np.zeros((len(motion.t), len(names)))
     for column, name in enumerate(names):
-        if name in motion.joint_names:
-            torque[:, column] = motion.joint_torque[:, motion.joint_names.index(name)]
+        if name in motion.joints.names:
+            torque[:, column] = motion.joints.torque[:, motion.joints.names.index(name)]
     return torque

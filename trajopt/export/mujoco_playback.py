@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from trajopt.control.reference import ReferenceTrajectory
 from trajopt.export.archives import contact_arrays, names_array, write_archive
-from trajopt.export.exported_motion import ExportedMotion, single_joints
+from trajopt.export.exported_motion import ExportedMotion
 from trajopt.robot.mujoco_package import mujoco_package, muted_mujoco
 from trajopt.simulation.joint_feedback import gains_of
 from trajopt.simulation.mjcf import mjcf_of_scene
@@ -49,12 +48,13 @@ def _playback_arrays(motion: ExportedMotion, scene: Scene) -> dict[str, np.ndarr
 
     A motor's torque is that of its drive, since the model includes the joints' friction.
     """
-    coordinates, joints = scene.coordinates, single_joints(motion.plan)
+    coordinates, joints = scene.coordinates, motion.joints
     qpos = coordinates.to_mujoco(motion.q)
     addresses = [coordinates.addresses[motion.model.getJointId(name) - 1].q for name in joints.names]
-    for place, angle in zip(addresses, motion.joint_position.T, strict=True):
+    for place, angle in zip(addresses, joints.position.T, strict=True):
         qpos[:, place] = angle[:, None]  # counts turns even if samples are far apart
-    gains = gains_of(scene, _reference(motion, scene), SimulationSettings())
+    period = float(scene.compiled.opt.timestep)  # feedback acts at every physics step
+    gains = gains_of(scene, motion, period, SimulationSettings())
     return {
         "time": motion.t,
         "ctrl": motion.drive_torque,
@@ -66,33 +66,10 @@ def _playback_arrays(motion: ExportedMotion, scene: Scene) -> dict[str, np.ndarr
     }
 
 
-def _reference(motion: ExportedMotion, scene: Scene) -> ReferenceTrajectory:
-    """The motion as `gains_of` takes it; feedback acts at every physics step."""
-    return ReferenceTrajectory(
-        t=motion.t,
-        period=float(scene.compiled.opt.timestep),
-        q=motion.q,
-        v=motion.v,
-        a=motion.a,
-        torque=motion.drive_torque,
-        f=motion.f,
-        active=motion.active,
-        phase=motion.phase,
-        source=_phase_of_plan(motion),
-        phase_names=motion.phase_names,
-        end=motion.q[-1],
-    )
-
-
-def _phase_of_plan(motion: ExportedMotion) -> np.ndarray:
-    """Phases (n,) as numbered in the plan, which repeat in every cycle."""
-    return np.asarray(motion.phase % len(motion.plan.phase_names))
-
-
 def _held_grasps(motion: ExportedMotion, scene: Scene) -> np.ndarray:
     """Whether each grasp is active (n, neq), in the order of the model's equality constraints."""
-    phase = _phase_of_plan(motion)
-    return np.array([np.isin(phase, grasp.phases) for grasp in scene.site.grasps]).reshape(-1, len(phase)).T
+    held = [np.isin(motion.source, grasp.phases) for grasp in scene.site.grasps]
+    return np.array(held).reshape(-1, len(motion.t)).T
 
 
 def _coordinate_names(compiled: Any, of_free: Sequence[str]) -> list[str]:

@@ -50,9 +50,7 @@ class FrameTree:
 def frame_tree(motion: ExportedMotion) -> FrameTree:
     """The tree of all links, and of the contact frames that are not links."""
     model, links = motion.model, motion.links
-    contacts = {
-        name: model.getFrameId(name) for name in motion.plan.contact_frames if name not in links.names
-    }
+    contacts = {name: model.getFrameId(name) for name in motion.contact_frames if name not in links.names}
     touching = frame_motion(model, contacts, motion.q, motion.v)
     position = np.concatenate([links.position, touching.position], axis=1)
     turn = np.concatenate([links.quaternion, touching.quaternion], axis=1)[..., [1, 2, 3, 0]]
@@ -294,14 +292,14 @@ def _write_once(bag: _Bag, motion: ExportedMotion, tree: FrameTree) -> None:
     if fixed:
         message = make("tf2_msgs/TFMessage", transforms=fixed)
         bag.write("/tf_static", "tf2_msgs/TFMessage", START, message, latched=True)
-    if motion.plan.torque_names:
+    if motion.torque_names:
         kind = "trajectory_msgs/JointTrajectory"
         bag.write("/joint_trajectory", kind, START, _trajectory(bag.messages, motion))
 
 
 def _urdf(motion: ExportedMotion) -> str | None:
     """Text of the robot's URDF; None if it has none or its file is missing."""
-    source = motion.plan.description.visual
+    source = motion.description.visual
     if source is None or source.is_mjcf or not source.urdf.is_file():
         return None
     return source.urdf.read_text(encoding="utf-8", errors="replace")
@@ -309,15 +307,16 @@ def _urdf(motion: ExportedMotion) -> str | None:
 
 def _trajectory(messages: RosMessages, motion: ExportedMotion) -> Any:
     """Trajectory of the joints with a torque; a stamp of zero means that it starts when received."""
-    names = [name for name in motion.joint_names if name in motion.plan.torque_names]
-    columns = [motion.joint_names.index(name) for name in names]
+    joints = motion.joints
+    names = [name for name in joints.names if name in motion.torque_names]
+    columns = [joints.names.index(name) for name in names]
     points = [
         messages.make(
             "trajectory_msgs/JointTrajectoryPoint",
-            positions=motion.joint_position[row, columns],
-            velocities=motion.joint_velocity[row, columns],
-            accelerations=motion.joint_acceleration[row, columns],
-            effort=motion.joint_torque[row, columns],
+            positions=joints.position[row, columns],
+            velocities=joints.velocity[row, columns],
+            accelerations=joints.acceleration[row, columns],
+            effort=joints.torque[row, columns],
             time_from_start=messages.duration(_since_start(motion, row)),
         )
         for row in range(len(motion.t))
@@ -331,8 +330,8 @@ def _sampled(
     messages: RosMessages, motion: ExportedMotion, tree: FrameTree
 ) -> Iterator[tuple[str, str, int, Any]]:
     """Yield topic, type, sample and message, in order of time."""
-    names, odometry, wrenches = list(motion.joint_names), _odometry(messages, motion), _local_wrenches(motion)
-    contacts = dict(zip(_topics(motion.plan.contact_frames), motion.plan.contact_frames, strict=True))
+    joints, odometry, wrenches = motion.joints, _odometry(messages, motion), _local_wrenches(motion)
+    contacts = dict(zip(_topics(motion.contact_frames), motion.contact_frames, strict=True))
     for row in range(len(motion.t)):
         stamp = _stamp(motion, row)
         moving = _transforms(messages, motion, tree, row, fixed=False)
@@ -342,10 +341,10 @@ def _sampled(
         state = messages.make(
             "sensor_msgs/JointState",
             header=messages.header(stamp),
-            name=names,
-            position=motion.joint_position[row],
-            velocity=motion.joint_velocity[row],
-            effort=motion.joint_torque[row],
+            name=list(joints.names),
+            position=joints.position[row],
+            velocity=joints.velocity[row],
+            effort=joints.torque[row],
         )
         yield "/joint_states", "sensor_msgs/JointState", row, state
         for number, (topic, frame) in enumerate(contacts.items()):
@@ -398,7 +397,7 @@ def _odometry(messages: RosMessages, motion: ExportedMotion) -> Iterator[Any] | 
 
 def _local_wrenches(motion: ExportedMotion) -> np.ndarray:
     """Contact forces and moments (n, nc, 6) along the axes of the contact frames."""
-    frames = {name: motion.model.getFrameId(name) for name in motion.plan.contact_frames}
+    frames = {name: motion.model.getFrameId(name) for name in motion.contact_frames}
     quaternion = frame_motion(motion.model, frames, motion.q, motion.v).quaternion
     shape = (len(motion.t), len(frames), 3, 3)
     turn = rotation_matrices(quaternion[..., [1, 2, 3, 0]].reshape(-1, 4)).reshape(shape)

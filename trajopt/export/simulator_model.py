@@ -76,8 +76,8 @@ def named_coordinates(
     """
     model, base = motion.model, base_of(motion.model)
     coordinates = {
-        name: (motion.joint_position[:, i], motion.joint_velocity[:, i])
-        for i, name in enumerate(motion.joint_names)
+        name: (motion.joints.position[:, i], motion.joints.velocity[:, i])
+        for i, name in enumerate(motion.joints.names)
     }
     if simulator.is_free.any():
         return coordinates
@@ -125,7 +125,7 @@ def held_joints(motion: ExportedMotion, simulator: SimulatorModel) -> dict[str, 
         body = int(compiled.jnt_bodyid[joint])
         child, parent = (simulator.body_names[i] for i in (body, compiled.body_parentid[body]))
         single = compiled.body_jntnum[body] == 1 and compiled.jnt_type[joint] == hinge
-        if single and name not in motion.joint_names and child in names and parent in names:
+        if single and name not in motion.joints.names and child in names and parent in names:
             angles[name] = _hinge_angle(motion, simulator, joint, (parent, child))
     return angles
 

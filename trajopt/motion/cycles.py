@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -10,6 +11,8 @@ import pinocchio as pin
 from trajopt.dynamics.base_joint import base_of
 from trajopt.errors import InputError
 from trajopt.motion.description import PeriodicImage
+from trajopt.motion.robot_motion import RobotMotion
+from trajopt.motion.sampled_motion import SampledMotion, turning_joints
 from trajopt.motion.solution import Solution
 from trajopt.robot.mirror import signed
 
@@ -68,30 +71,50 @@ class CycleImage:
         """Images of configurations (n, nq) and velocities (n, nv)."""
         return periodic_image(self.model, self.described, q, v, self.duration)
 
-    def of_accelerations(self, a: np.ndarray) -> np.ndarray:
-        """Images of accelerations (n, nv)."""
-        return np.asarray(self.sign * a[:, self.index])
+    def of_motion(self, motion: SampledMotion) -> SampledMotion:
+        """Image of a motion, with its times and phases; quaternions xyzw, the base along its own axes."""
+        q, v = self.of_states(motion.q, motion.v)
+        turning = [joint.v.stop - 1 for joint in turning_joints(self.model)]
+        wrenches = motion.f[:, self.contacts]
+        force, moment = wrenches[..., :3] @ self.to_force.T, wrenches[..., 3:] @ self.to_moment.T
+        return replace(
+            motion,
+            q=q,
+            v=v,
+            a=self.sign * motion.a[:, self.index],
+            angle=self.sign[turning] * motion.angle[:, [turning.index(row) for row in self.index[turning]]],
+            tau=self._of_torques(motion.tau),
+            drive_torque=self._of_torques(motion.drive_torque),
+            f=np.concatenate([force, moment], axis=-1),
+            active=motion.active[:, self.contacts],
+        )
 
-    def of_torques(self, torque: np.ndarray) -> np.ndarray:
-        """Images of torques (n, nu)."""
+    def _of_torques(self, torque: np.ndarray) -> np.ndarray:
         image, joints = torque.copy(), len(self.actuated)
         columns = np.searchsorted(self.actuated, self.index[self.actuated])
         image[:, :joints] = self.sign[self.actuated] * torque[:, columns]
         return image
 
-    def of_contact_forces(self, f: np.ndarray) -> np.ndarray:
-        """Images of contact forces and moments (n, nc, 6)."""
-        wrenches = f[:, self.contacts]
-        return np.concatenate(
-            [wrenches[..., :3] @ self.to_force.T, wrenches[..., 3:] @ self.to_moment.T], axis=-1
-        )
 
-    def of_contacts(self, active: np.ndarray) -> np.ndarray:
-        """Images of flags of the contacts (n, nc)."""
-        return active[:, self.contacts]
+def in_passes(plan: Solution, motion: SampledMotion, number: np.ndarray) -> SampledMotion:
+    """Return samples (n,) of a periodic plan in passes ``number`` (n,), ascending from 0, see `passes_of`.
+
+    Each pass is the image of the previous one. Times stay; phases are counted through all passes.
+    """
+    passes, names = int(number[-1]) + 1, plan.phase_names
+    if passes > 1:
+        image, parts = CycleImage.of(plan), []
+        for past in range(passes):
+            part = motion.at(number == past)
+            for _ in range(past):
+                part = image.of_motion(part)
+            parts.append(part.rows)
+        joined: dict[str, Any] = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
+        motion = replace(motion, **joined)
+    return replace(motion, phase=motion.source + number * len(names), phase_names=names * passes)
 
 
-def image_of_contacts(plan: Solution, described: PeriodicImage) -> list[int]:
+def image_of_contacts(plan: RobotMotion, described: PeriodicImage) -> list[int]:
     """Return for each contact the one it is the image of: the rows of v that move one map to the other's."""
     index = described.index
     moved = [moving_rows(plan.model, frame) for frame in plan.contact_frames]

@@ -189,6 +189,19 @@ class PlanDescription:
         return self.terrain.surface if isinstance(self.terrain, FlatGround) else self.terrain
 
     @property
+    def separate_surfaces(self) -> list[tuple[int, int, Surface]]:
+        """(phase, contact, surface) of contacts that hold a surface, or touch one beside the terrain."""
+        ground = self.ground
+        faces = ground.faces if isinstance(ground, PiecewiseTerrain) else ()
+        planes = [ground] if isinstance(ground, Surface) else [face.surface for face in faces]
+        return [
+            (phase, self.frames.index(frame), surface)
+            for phase, surfaces in enumerate(self.surfaces)
+            for frame, surface in surfaces.items()
+            if surface.bilateral or not any(surface.same_plane(plane) for plane in planes)
+        ]
+
+    @property
     def frames(self) -> tuple[str, ...]:
         """Frames of the contacts."""
         return tuple(contact.frame for contact in self.contacts)

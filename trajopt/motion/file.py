@@ -15,12 +15,16 @@ import pinocchio as pin
 
 from trajopt.errors import InputError, SolutionFileError, expanded, first_line, is_number
 from trajopt.motion.archive import read_members
-from trajopt.motion.arrays import OTHERS, SAMPLED, read_only, runs
-from trajopt.motion.consistency import inconsistency
+from trajopt.motion.consistency import OTHERS, SAMPLED, inconsistency, read_only, runs
 from trajopt.motion.description import PlanDescription
 from trajopt.motion.meta import description_of, meta_of, require_keys, statistics_of
-from trajopt.motion.model_arrays import LARGEST_VALUE, MODEL_KINDS, model_from_arrays, model_to_arrays
-from trajopt.motion.model_text import model_from_untrusted_text
+from trajopt.motion.model_arrays import (
+    LARGEST_VALUE,
+    MODEL_KINDS,
+    model_from_arrays,
+    model_from_untrusted_text,
+    model_to_arrays,
+)
 from trajopt.motion.output import replacing
 from trajopt.motion.statistics import SolveStatistics
 from trajopt.robot.natural_units import NaturalUnits

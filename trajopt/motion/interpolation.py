@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
-from trajopt.motion.arrays import runs
+from trajopt.motion.consistency import runs
 from trajopt.motion.local_states import local_state, state_from_local
 
 

@@ -1,6 +1,7 @@
 """A Pinocchio model as plain arrays, which are checked before the model is rebuilt through Pinocchio's API.
 
-Imports are few because the text of older files is read in a separate process (see `model_text`).
+Older files have Pinocchio's text. Its reader trusts counts and indices, so a damaged text can crash it: it
+runs in a separate process, which returns these arrays. Imports are few for its sake.
 
 `_FORMS` lists the arrays, named ``model_KEY``; rows are in Pinocchio's order, the universe first:
 
@@ -11,8 +12,12 @@ Imports are few because the text of older files is read in a separate process (s
 - bodies: the count `pin.Model.nbodies`.
 """
 
+import io
 import math
+import os
 import re
+import subprocess
+import sys
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 
@@ -20,6 +25,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.errors import InputError, first_line
+from trajopt.motion.archive import read_members
 
 # Sizes of position and velocity by kind of joint, for all kinds that trajopt.dynamics supports.
 JOINT_SIZES: dict[str, tuple[int, int]] = {
@@ -332,3 +338,45 @@ def _inertia(entry: np.ndarray) -> pin.Inertia:
     inertia = pin.Inertia.Zero()
     inertia.mass, inertia.lever, inertia.inertia = float(entry[0]), np.array(entry[1:4], dtype=float), matrix
     return inertia
+
+
+# Limits of the process: time, s, and memory, bytes. A robot's text takes 0.4 s, mostly to start.
+READER_TIME, READER_MEMORY = 60.0, 4 * 2**30
+# Number of texts whose arrays are cached: files of one robot are often read in sequence.
+MOST_TEXTS = 16
+# The process has the same import path as this one, regardless of its working directory.
+_CODE = "import sys; sys.path[:] = sys.argv[1:]; from trajopt.motion.model_arrays import _answer; _answer()"
+
+
+def model_from_untrusted_text(text: str) -> pin.Model:
+    """Return the model from an untrusted ``pin.Model.saveToString()``; raises `InputError`."""
+    wrong = InputError("the model in the solution is damaged or of another Pinocchio version")
+    try:
+        return model_from_arrays(read_members(_arrays(text), "the model", MODEL_KINDS))
+    except (InputError, OSError, subprocess.SubprocessError, UnicodeEncodeError):
+        raise wrong from None
+
+
+@lru_cache(maxsize=MOST_TEXTS)
+def _arrays(text: str) -> bytes:
+    """Return the output of the process: an archive of `model_to_arrays`."""
+    command = [sys.executable, "-I", "-c", _CODE, *filter(None, sys.path)]
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    given = text.encode()
+    return subprocess.run(
+        command, input=given, capture_output=True, check=True, timeout=READER_TIME, env=environment
+    ).stdout
+
+
+def _answer() -> None:
+    """Read a text from stdin and write the arrays of its model to stdout; runs in the process."""
+    import resource  # not available on every system
+
+    resource.setrlimit(resource.RLIMIT_AS, (READER_MEMORY, READER_MEMORY))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    model, answer = pin.Model(), io.BytesIO()
+    model.loadFromString(sys.stdin.buffer.read().decode())
+    np.savez(answer, allow_pickle=False, **model_to_arrays(model))
+    sys.stdout.buffer.write(answer.getvalue())
+    sys.stdout.buffer.flush()
+    os._exit(0)  # skip the cleanup of memory that a damaged text may have corrupted

@@ -9,11 +9,11 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 
-from trajopt.dynamics.base_joint import Base, base_of, position_limits
+from trajopt.dynamics.base_joint import Base, position_limits
 from trajopt.dynamics.model_quantities import gravity_of, mass_of
 from trajopt.dynamics.virtual_base import gimbal_margin_along
 from trajopt.motion.body_distances import FileBodies, missing_shapes
-from trajopt.motion.carried import carrying_model
+from trajopt.motion.configurations import samples_at
 from trajopt.motion.cycles import periodicity_error
 from trajopt.motion.interpolation import (
     InterpolatedMotion,
@@ -21,7 +21,6 @@ from trajopt.motion.interpolation import (
     lagrange_coefficients,
 )
 from trajopt.motion.local_states import local_state
-from trajopt.motion.resampling import samples_at
 from trajopt.motion.samples import (
     ContactPlaces,
     SampleQuantities,
@@ -86,7 +85,7 @@ class MotionQuantities:
     @cached_property
     def base(self) -> Base:
         """Kind of the model's base."""
-        return base_of(self.solution.model)
+        return self.solution.base
 
     @cached_property
     def gravity(self) -> float:
@@ -106,7 +105,7 @@ class MotionQuantities:
     @cached_property
     def units(self) -> NaturalUnits:
         """Natural units of the robot."""
-        return NaturalUnits.of(self.solution.model)
+        return self.solution.units
 
     @cached_property
     def turning_rows(self) -> np.ndarray:
@@ -117,7 +116,7 @@ class MotionQuantities:
     def models(self) -> dict[int, pin.Model]:
         """The model with everything that is carried, by phase."""
         plan = self.solution
-        return {phase: carrying_model(plan, phase) for phase in np.unique(plan.phase).tolist()}
+        return {phase: plan.carrying_model(phase) for phase in np.unique(plan.phase).tolist()}
 
     @cached_property
     def masses(self) -> dict[int, float]:
@@ -137,7 +136,7 @@ class MotionQuantities:
     @cached_property
     def surfaces(self) -> TouchedSurfaces:
         """The surfaces that contacts touch."""
-        return touched_surfaces(self.solution, self.places.position)
+        return touched_surfaces(self.solution.description, self.places.position, self.solution.phase)
 
     @cached_property
     def rolled_paths(self) -> RolledPaths | None:

@@ -1,89 +1,52 @@
 """A motion sampled at requested times, one value per time, with names."""
 
+from __future__ import annotations
+
 import csv
-from collections.abc import Callable
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar, get_args
 
 import numpy as np
 import pinocchio as pin
+from typing_extensions import override
 
 from trajopt.dynamics.manifold import Coordinates, Joint
-from trajopt.errors import InputError, expanded, shown
+from trajopt.errors import InputError, expanded, require_positive, shown
+from trajopt.motion.consistency import SAME_TIME
+from trajopt.motion.interpolation import MotionSample
+from trajopt.motion.local_states import local_state, rotation_matrices
 from trajopt.motion.output import replacing
-from trajopt.pickling import picklable
+from trajopt.motion.robot_motion import (
+    BaseAxes,
+    QuaternionOrder,
+    RobotMotion,
+    is_base,
+    position_names,
+    velocity_names,
+)
 from trajopt.versions import optional_package
 
-# Order of a quaternion's entries, and axes of a moving base's velocity and acceleration.
-QuaternionOrder = Literal["xyzw", "wxyz"]
-BaseAxes = Literal["body", "world"]
-QUATERNION_ORDERS: tuple[QuaternionOrder, ...] = ("xyzw", "wxyz")
-BASE_AXES: tuple[BaseAxes, ...] = ("body", "world")
-LINEAR, ANGULAR = (tuple(f"{kind}_{axis}" for axis in "xyz") for kind in ("linear", "angular"))
+# Interval of a node: there contacts begin and end, and velocities, torques and forces may jump.
+Side = Literal["after", "before"]
+# A larger number of samples than 200 s at 1 kHz is a mistake and needs gigabytes.
+MOST_SAMPLES = 200_000
 AXES = "xyz"
+# Fields of a sampled motion that a file has, and its names.
+SAVED = ("t", "q", "v", "a", "tau", "drive_torque", "angle", "f", "active", "phase", "extrapolated")
+NAMES = (
+    *("joint_names", "position_names", "velocity_names", "torque_names", "angle_names"),
+    *("contact_frames", "contact_names", "contact_kinds", "phase_names"),
+)
+_Motion = TypeVar("_Motion", bound="SampledMotion")
 
 
-def require_convention(quaternion: str, base_velocity: str) -> None:
-    """Raise `InputError` for an unknown quaternion order or unknown axes of the base velocity."""
-    if quaternion not in QUATERNION_ORDERS:
-        raise InputError(f"quaternion is {shown(quaternion)}", "allowed: 'xyzw' or 'wxyz'")
-    if base_velocity not in BASE_AXES:
-        raise InputError(f"base_velocity is {shown(base_velocity)}", "allowed: 'body' or 'world'")
-
-
-def position_names(model: pin.Model, quaternion: QuaternionOrder = "xyzw") -> tuple[str, ...]:
-    """Return names (nq,) of the entries of q: the joint, with the entry if the joint has several."""
-    turn = tuple(f"q{entry}" for entry in quaternion)
-    entries = {
-        "freeflyer": ("x", "y", "z", *turn),
-        "spherical": turn,
-        "planar": ("x", "y", "cos", "sin"),
-        "continuous": ("cos", "sin"),
-    }
-    return _named(model, lambda joint: entries.get(joint.kind) or _plain(model, joint))
-
-
-def velocity_names(model: pin.Model, base_velocity: BaseAxes = "body") -> tuple[str, ...]:
-    """Return names (nv,) of the entries of v; those along body or world axes end with "body" or "world"."""
-
-    def entries(joint: Joint) -> tuple[str, ...]:
-        axes = base_velocity if is_base(model, joint) else "body"
-        linear, angular = ([f"{entry}_{axes}" for entry in part] for part in (LINEAR, ANGULAR))
-        if joint.kind == "planar":
-            return (*linear[:2], ANGULAR[2])
-        parts = {"freeflyer": (*linear, *angular), "spherical": tuple(angular)}
-        return parts.get(joint.kind) or _plain(model, joint)
-
-    return _named(model, entries)
-
-
-def is_base(model: pin.Model, joint: Joint) -> bool:
-    """Return whether a joint is the base: the first joint, if it is a free-flyer or planar."""
-    return joint.kind in ("freeflyer", "planar") and model.names[1] == joint.name
-
-
-def _plain(model: pin.Model, joint: Joint) -> tuple[str, ...]:
-    if joint.v.stop - joint.v.start == 1:
-        return ("",)
-    turns = model.joints[model.getJointId(joint.name)].shortname() == "JointModelSphericalZYX"
-    return ("rz", "ry", "rx") if turns else ("x", "y", "z")
-
-
-def _named(model: pin.Model, entries: Callable[[Joint], tuple[str, ...]]) -> tuple[str, ...]:
-    return tuple(
-        f"{joint.name}/{entry}" if entry else joint.name
-        for joint in Coordinates(model).joints
-        for entry in entries(joint)
-    )
-
-
-@picklable
 @dataclass(frozen=True, kw_only=True, eq=False)
-class SampledMotion:
+class SampledMotion(RobotMotion):
     """A motion at n times, one value each, from `Solution.sample`; SI units, read-only arrays.
 
-    problem, robot: names. success: of the solution. t: (n,) s.
+    success: of the solution. t: (n,) s.
     q: (n, nq), ``position_names``; Pinocchio's convention, but quaternions in the order ``quaternion``.
     v, a: (n, nv), ``velocity_names``. For a free-flyer or planar base they are along ``base_velocity``: body
         axes as in Pinocchio (``a`` is the derivative of ``v``), or world axes, as derivatives of the base
@@ -95,46 +58,72 @@ class SampledMotion:
     f: (n, nc, 6) force N and moment N m of the environment on each of ``contact_frames``, in world axes at
         the frame's origin; the moment is zero for a "point" (``contact_kinds``).
     active: (n, nc) whether the contact is active. phase: (n,) index into ``phase_names``.
+    source: (n,) phase of the solution; in repeated cycles ``phase`` counts on.
     extrapolated: (n,) whether the time is before the first or after the last collocation point of its
         interval, where polynomials give a, tau, drive_torque and f without limits being imposed.
     """
 
-    problem: str
-    robot: str
     success: bool
-    t: np.ndarray
-    q: np.ndarray
-    v: np.ndarray
-    a: np.ndarray
-    tau: np.ndarray
     drive_torque: np.ndarray
     angle: np.ndarray
-    f: np.ndarray
-    active: np.ndarray
-    phase: np.ndarray
+    source: np.ndarray
     extrapolated: np.ndarray
-    joint_names: tuple[str, ...]
-    position_names: tuple[str, ...]
-    velocity_names: tuple[str, ...]
-    torque_names: tuple[str, ...]
-    angle_names: tuple[str, ...]
-    contact_frames: tuple[str, ...]
-    contact_names: tuple[str, ...]
-    contact_kinds: tuple[str, ...]
     phase_names: tuple[str, ...]
-    quaternion: QuaternionOrder
-    base_velocity: BaseAxes
-    has_drives: bool
+    quaternion: QuaternionOrder = "xyzw"
+    base_velocity: BaseAxes = "body"
 
     def __post_init__(self) -> None:
-        for array in self.arrays.values():
+        for array in self.rows.values():
             array.setflags(write=False)
 
     @property
     def arrays(self) -> dict[str, np.ndarray]:
-        """Return all arrays by name."""
-        named = {field.name: getattr(self, field.name) for field in fields(self)}
-        return {name: value for name, value in named.items() if isinstance(value, np.ndarray)}
+        """Return the arrays of a file by name."""
+        return {name: getattr(self, name) for name in SAVED}
+
+    @property
+    def rows(self) -> dict[str, np.ndarray]:
+        """Return all arrays with one row per time by name."""
+        return {**self.arrays, "source": self.source}
+
+    def at(self: _Motion, rows: np.ndarray) -> _Motion:
+        """Return the motion at some of its times, by index (k,)."""
+        return replace(self, **{name: array[rows] for name, array in self.rows.items()})
+
+    @property
+    def problem(self) -> str:
+        """Name of the problem."""
+        return self.description.problem
+
+    @property
+    def robot(self) -> str:
+        """Name of the robot."""
+        return self.description.robot
+
+    @property
+    @override
+    def position_names(self) -> tuple[str, ...]:
+        return position_names(self.model, self.quaternion)
+
+    @property
+    @override
+    def velocity_names(self) -> tuple[str, ...]:
+        return velocity_names(self.model, self.base_velocity)
+
+    @property
+    def angle_names(self) -> tuple[str, ...]:
+        """Names (m,) of the entries of ``angle``."""
+        return tuple(joint.name for joint in turning_joints(self.model))
+
+    @property
+    def contact_kinds(self) -> tuple[str, ...]:
+        """Kinds of the contacts, "point" or "surface"."""
+        return tuple(contact.kind for contact in self.description.contacts)
+
+    @property
+    def has_drives(self) -> bool:
+        """Whether the robot has drives."""
+        return any(drive is not None for drive in self.drives)
 
     @property
     def force(self) -> np.ndarray:
@@ -247,8 +236,7 @@ def _write_parquet(motion: SampledMotion, path: Path) -> None:
 
 
 def _write_npz(motion: SampledMotion, path: Path) -> None:
-    texts = {name: entry for name, entry in vars(motion).items() if isinstance(entry, tuple)}
-    names = {name: np.array(entry, dtype=str) for name, entry in texts.items()}
+    names = {name: np.array(getattr(motion, name), dtype=str) for name in NAMES}
     facts = {key: np.array(value) for key, value in motion.facts.items()}
     with path.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, **motion.arrays, **names, **facts)
@@ -259,3 +247,113 @@ _WRITERS: dict[str, Callable[[SampledMotion, Path], None]] = {
     ".parquet": _write_parquet,
     ".npz": _write_npz,
 }
+
+
+def sample_times(edges: np.ndarray, sampled: np.ndarray, rate: float | None, times: Any) -> np.ndarray:
+    """Return times (n,) s of samples within a motion; raises `InputError`. See `Solution.sample`.
+
+    edges: (I, 2) s of its intervals. sampled: (K,) s of its samples, used without ``rate`` and ``times``.
+    """
+    start, end = float(edges[0, 0]), float(edges[-1, 1])
+    same = SAME_TIME * (end - start)
+    if rate is not None and times is not None:
+        raise InputError("rate and times are both given", "allowed: one of them")
+    if times is not None:
+        return _within(_numbers(times), start, end)
+    if rate is None:
+        return sampled[np.append(np.diff(sampled) > same, True)]
+    require_positive("rate", rate, "Hz")
+    rate = float(rate)
+    count = (end - start) * rate
+    if count >= MOST_SAMPLES:
+        raise InputError(
+            f"rate is {rate:g} Hz, {count:.3g} samples in {end - start:g} s",
+            f"allowed: {MOST_SAMPLES} samples",
+        )
+    regular = start + np.arange(int(count + SAME_TIME * max(count, 1.0)) + 1) / rate
+    return np.append(regular[regular < end - same], end)
+
+
+def _numbers(times: Any) -> np.ndarray:
+    try:
+        numbers = np.atleast_1d(np.asarray(times))
+    except ValueError:  # rows of different lengths
+        numbers = np.zeros((0, 0))
+    if numbers.ndim != 1 or numbers.dtype.kind not in "fiu":
+        raise InputError(f"times are {shown(times)}", "allowed: a list of numbers, s")
+    if not 0 < len(numbers) <= MOST_SAMPLES:
+        raise InputError(f"times are {len(numbers)} numbers", f"allowed: 1 to {MOST_SAMPLES}")
+    return numbers.astype(float)
+
+
+def _within(times: np.ndarray, start: float, end: float) -> np.ndarray:
+    same = SAME_TIME * (end - start)
+    for row in np.flatnonzero(~((times >= start - same) & (times <= end + same)))[:1]:
+        raise InputError(
+            f"times[{row}] is {times[row]:.9g} s", f"allowed: within the motion, {start:g} to {end:.9g} s"
+        )
+    return np.clip(times, start, end)
+
+
+def located(edges: np.ndarray, t: np.ndarray, side: Side) -> tuple[np.ndarray, np.ndarray]:
+    """Return intervals at times ``t`` (n,) and fractions of them; a node is in the one on its ``side``."""
+    if side not in get_args(Side):
+        raise InputError(f"side is {shown(side)}", "allowed: 'after' or 'before'")
+    same = SAME_TIME * float(edges[-1, 1] - edges[0, 0])
+    if side == "after":
+        numbers = np.searchsorted(edges[:, 0], t + same, side="right") - 1
+    else:
+        numbers = np.searchsorted(edges[:, 0], t - same, side="left") - 1
+    numbers = np.clip(numbers, 0, len(edges) - 1)
+    start, end = edges[numbers].T
+    return numbers, np.clip((t - start) / (end - start), 0.0, 1.0)
+
+
+def is_extrapolated(arrays: Mapping[str, np.ndarray], numbers: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Return whether times ``t`` (n,) are outside the collocation points of intervals ``numbers`` (n,).
+
+    A polynomial through one point is constant and does not extrapolate.
+    """
+    points, of_point = arrays["t"][arrays["collocation"]], arrays["interval"][arrays["collocation"]]
+    first = points[np.searchsorted(of_point, numbers, side="left")]
+    last = points[np.searchsorted(of_point, numbers, side="right") - 1]
+    same = SAME_TIME * float(arrays["t"][-1] - arrays["t"][0])
+    return (first < last) & ((t < first - same) | (t > last + same))
+
+
+def in_convention(
+    model: pin.Model, motion: MotionSample, quaternion: QuaternionOrder, base_velocity: BaseAxes
+) -> MotionSample:
+    """Convert the motion to a quaternion order and to axes of the base velocity."""
+    q, v, a = motion.q.copy(), motion.v.copy(), motion.a.copy()
+    for joint in Coordinates(model).joints:
+        if base_velocity == "world" and is_base(model, joint):
+            _, rate, second = local_state(model, motion.q, motion.q, motion.v, motion.a)
+            v[:, joint.v], a[:, joint.v] = rate[:, joint.v], second[:, joint.v]
+            if joint.rotation is not None:
+                turn = rotation_matrices(motion.q[:, joint.q][:, 3:])
+                for along, body in ((v, motion.v), (a, motion.a)):
+                    along[:, joint.rotation] = np.einsum("nij,nj->ni", turn, body[:, joint.rotation])
+        if quaternion == "wxyz" and joint.rotation is not None:
+            entries = slice(joint.q.stop - 4, joint.q.stop)
+            q[:, entries] = np.roll(q[:, entries], 1, axis=1)
+    return MotionSample(q=q, v=v, a=a, tau=motion.tau, f=motion.f)
+
+
+def turning_joints(model: pin.Model) -> list[Joint]:
+    """Return the joints with an angle that q stores as cosine and sine."""
+    return [joint for joint in Coordinates(model).joints if joint.kind in ("continuous", "planar")]
+
+
+def angles_of(model: pin.Model, plan: RobotMotion, t: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Return the angles (n, m) that q stores as cosine and sine, at times ``t`` (n,).
+
+    They count full turns since the start of the plan, regardless of the times.
+    """
+    columns = []
+    for joint in turning_joints(model):
+        cos, sin = joint.q.stop - 2, joint.q.stop - 1
+        near = np.interp(t, plan.t, np.unwrap(np.arctan2(plan.q[:, sin], plan.q[:, cos])))
+        angle = np.arctan2(q[:, sin], q[:, cos])
+        columns.append(angle + 2 * np.pi * np.round((near - angle) / (2 * np.pi)))
+    return np.array(columns).T.reshape(len(t), len(columns))

@@ -8,8 +8,9 @@ import pinocchio as pin
 
 from trajopt import _numeric
 from trajopt.dynamics.base_joint import BASE_JOINT, BASE_POSITION, BASE_ROWS, base_of
-from trajopt.motion.carried import carrying_model
+from trajopt.motion.robot_motion import RobotMotion
 from trajopt.motion.solution import Solution
+from trajopt.robot.payload import payload_wrench
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +38,7 @@ class SampleQuantities(ContactPlaces):
     acceleration: np.ndarray
 
 
-def contact_places(solution: Solution) -> ContactPlaces:
+def contact_places(solution: RobotMotion) -> ContactPlaces:
     """Return the contact frames at every sample of ``solution``."""
     still, unloaded = np.zeros_like(solution.v), np.zeros_like(solution.f)
     _, moved = _sampled(solution.model, solution, slice(None), still, unloaded)
@@ -46,11 +47,10 @@ def contact_places(solution: Solution) -> ContactPlaces:
 
 def sample_quantities(solution: Solution) -> SampleQuantities:
     """Evaluate forces and contact motion at every sample of ``solution``."""
+    runs = ((int(solution.phase[rows.start]), slice(rows.start, rows.stop)) for rows in solution.phases)
     parts = [
-        _sampled(
-            carrying_model(solution, int(solution.phase[rows.start])), solution, rows, solution.a, solution.f
-        )
-        for rows in (slice(each.start, each.stop) for each in solution.phases)
+        _sampled(solution.carrying_model(phase), solution, rows, solution.a, solution.f)
+        for phase, rows in runs
     ]
     force, moved = (np.concatenate(part) for part in zip(*parts, strict=True))
     return SampleQuantities(
@@ -62,11 +62,23 @@ def sample_quantities(solution: Solution) -> SampleQuantities:
     )
 
 
+def payload_wrenches(plan: Solution) -> np.ndarray:
+    """Return the wrenches (K, nc, 6) of carried bodies on the robot, recomputed from the motion."""
+    model, data = plan.model, plan.model.createData()
+    wrenches = np.zeros_like(plan.f)
+    for row in range(plan.n_samples):
+        for body in plan.description.carried_in(int(plan.phase[row])):
+            index = plan.contact_frames.index(body.frame)
+            state = (plan.q[row], plan.v[row], plan.a[row])
+            wrenches[row, index] += payload_wrench(model, data, body.frame, body.spatial, state)
+    return wrenches
+
+
 def _sampled(
-    model: pin.Model, plan: Solution, rows: slice, a: np.ndarray, f: np.ndarray
+    model: pin.Model, plan: RobotMotion, rows: slice, a: np.ndarray, f: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return forces (k, nv) and the motion of the contact frames (k, nc, 24), see `_numeric.sampled`."""
-    frames = [model.getFrameId(frame) for frame in plan.contact_frames]
+    frames = plan.contact_ids
     q, v = plan.q[rows], plan.v[rows]
     force, moved = _numeric.sampled(model, frames, q, v, a[rows], f[rows].reshape(len(q), 6 * len(frames)))
     return force, moved.reshape(len(force), len(frames), 24)

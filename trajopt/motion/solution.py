@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -14,19 +14,11 @@ from numpy.typing import ArrayLike
 from trajopt.arguments import checked
 from trajopt.errors import InputError, expanded
 from trajopt.motion import file
-from trajopt.motion.arrays import OTHERS, SAMPLED, read_only, runs
-from trajopt.motion.consistency import wrong_number
-from trajopt.motion.description import PlanDescription
+from trajopt.motion.consistency import OTHERS, SAMPLED, read_only, runs, wrong_number
 from trajopt.motion.interpolation import InterpolatedMotion
+from trajopt.motion.robot_motion import BaseAxes, QuaternionOrder, RobotMotion, require_convention
 from trajopt.motion.sampled_motion import (
-    BaseAxes,
-    QuaternionOrder,
     SampledMotion,
-    position_names,
-    require_convention,
-    velocity_names,
-)
-from trajopt.motion.sampling import (
     Side,
     angles_of,
     in_convention,
@@ -35,17 +27,11 @@ from trajopt.motion.sampling import (
     sample_times,
 )
 from trajopt.motion.statistics import SolveStatistics
-from trajopt.pickling import picklable
-from trajopt.robot.actuators.actuation import Actuation
-from trajopt.robot.actuators.drive import Drive
-from trajopt.robot.actuators.joint_force import joint_force
 from trajopt.robot.actuators.on_robot import drive_torque_values
-from trajopt.robot.natural_units import NaturalUnits
 
 
-@picklable
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Solution:
+class Solution(RobotMotion):
     """Samples of a motion, grouped by interval in time order: start node, collocation points, end node.
 
     A node shared by two intervals appears twice (limits from the left and from the right). At samples that
@@ -53,16 +39,10 @@ class Solution:
     collocation points. `sample` gives one value per time, at any rate. SI units; arrays are copied and
     read-only. K samples, I intervals, nc contacts, J impacts.
 
-    description: the plan: names, contacts, limits, ground, goals, payloads, shapes.
+    description, model, t, phase, q, v, a, tau, f, active: see `RobotMotion`.
     statistics: how it was found: solver, status, size, times, residuals.
-    model: the model that was optimised.
-    t: (K,) s. phase, interval: (K,) index. interval_t: (I, 2) start and end, s.
+    interval: (K,) index. interval_t: (I, 2) start and end, s.
     collocation: (K,) whether the dynamics are imposed at the sample.
-    q, v, a: (K, nq), (K, nv), (K, nv) in Pinocchio's convention.
-    tau: (K, nu) torques of the actuated rows, and forces of thrusters after them.
-    f: (K, nc, 6) force N and moment N m of the environment on the robot, world-aligned axes at
-        the contact frame's origin; zero when inactive. Payloads are in ``description.payloads``.
-    active: (K, nc) whether the contact is active.
     impulse, impact_index: (J, nc, 6) N s and N m s, (J,) sample just after; None without impacts.
     row_multiplier, row_place, bound_multiplier: (R,) multipliers of the NLP's rows, (R, 3) each row's block
         (index in ``statistics.row_names``), stage and point, (X,) multipliers of variable bounds, in the
@@ -75,20 +55,10 @@ class Solution:
     is checked in full when a file is written or read.
     """
 
-    description: PlanDescription = field(repr=False)
     statistics: SolveStatistics
-    model: pin.Model = field(repr=False)
-    t: np.ndarray
-    phase: np.ndarray
     interval: np.ndarray
     collocation: np.ndarray
     interval_t: np.ndarray
-    q: np.ndarray
-    v: np.ndarray
-    a: np.ndarray
-    tau: np.ndarray
-    f: np.ndarray
-    active: np.ndarray
     impulse: np.ndarray | None = None
     impact_index: np.ndarray | None = None
     row_multiplier: np.ndarray | None = None
@@ -108,43 +78,6 @@ class Solution:
         """All arrays by name, without absent ones."""
         named = {name: getattr(self, name) for name in (*SAMPLED, *OTHERS)}
         return {name: array for name, array in named.items() if array is not None}
-
-    @property
-    def contact_frames(self) -> tuple[str, ...]:
-        """Frames of the contacts, in the order of ``f`` and ``active``."""
-        return self.description.frames
-
-    @property
-    def contact_names(self) -> tuple[str, ...]:
-        """Names of the contacts, in the same order; for files without names, their frames."""
-        return tuple(contact.name for contact in self.description.contacts)
-
-    @property
-    def joint_names(self) -> tuple[str, ...]:
-        """Joints of the model in Pinocchio's order, including a moving base."""
-        return tuple(self.model.names)[1:]
-
-    @property
-    def frame_names(self) -> tuple[str, ...]:
-        """Frames of the model in Pinocchio's order."""
-        return tuple(frame.name for frame in self.model.frames)
-
-    @property
-    def position_names(self) -> tuple[str, ...]:
-        """Names (nq,) of the entries of ``q``: the joint, with the entry if several (``root_joint/qx``)."""
-        return position_names(self.model)
-
-    @property
-    def velocity_names(self) -> tuple[str, ...]:
-        """Names (nv,) of the entries of ``v`` and ``a``; a moving base is along its body axes."""
-        return velocity_names(self.model)
-
-    @property
-    def torque_names(self) -> tuple[str, ...]:
-        """Names (nu,) of the entries of ``tau``."""
-        names = self.velocity_names
-        thrusters = (thruster.name for thruster in self.description.thrusters)
-        return (*(names[row] for row in self.actuated_rows), *thrusters)
 
     @property
     def phase_names(self) -> tuple[str, ...]:
@@ -175,40 +108,6 @@ class Solution:
     def n_intervals(self) -> int:
         """Number of intervals I."""
         return len(self.interval_t)
-
-    @cached_property
-    def actuated_rows(self) -> np.ndarray:
-        """Rows of v with a torque, in the order of ``tau``, where thruster forces come after them."""
-        rows = self.description.actuated_rows
-        nv, joints = self.v.shape[1], self.tau.shape[1] - len(self.description.thrusters)
-        return np.arange(nv - joints, nv) if rows is None else rows
-
-    @cached_property
-    def unactuated_rows(self) -> np.ndarray:
-        """Rows of v without torque: those of a moving base, which come first, and passive joints."""
-        return np.setdiff1d(np.arange(self.v.shape[1]), self.actuated_rows)
-
-    @cached_property
-    def actuation(self) -> Actuation:
-        """Map from ``tau`` to generalised forces."""
-        unit = NaturalUnits.of(self.model).generalized_force(self.model)
-        return Actuation.of(
-            self.model, self.actuated_rows, self.description.thrusters, self.description.mimics, unit
-        )
-
-    def joint_force(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Return forces (..., nv) of joint springs, damping and dry friction at q (..., nq), v (..., nv)."""
-        return joint_force(self.model, self.description.joint_forces, q, v)
-
-    @property
-    def n_unactuated(self) -> int:
-        """Number of rows without torque."""
-        return len(self.unactuated_rows)
-
-    @property
-    def drives(self) -> tuple[Drive | None, ...]:
-        """Drive of each actuated row (nu,), None where there is none."""
-        return self.description.drives or (None,) * self.tau.shape[1]
 
     @property
     def order(self) -> int:
@@ -298,31 +197,22 @@ class Solution:
         numbers, fractions = located(self.interval_t, t, side)
         state = self.polynomials.at(numbers, fractions)
         motion = in_convention(self.model, state, quaternion, base_velocity)
-        angle_names, angle = angles_of(self.model, self.arrays, t, state.q)
         first = np.array([rows.start for rows in self.intervals])[numbers]
         return SampledMotion(
-            problem=self.description.problem,
-            robot=self.description.robot,
+            description=self.description,
+            model=self.model,
             success=self.success,
             t=t,
             **vars(motion),
             drive_torque=drive_torque_values(self.drives, state.tau, self.actuation.rates(state.v)),
-            angle=angle,
+            angle=angles_of(self.model, self, t, state.q),
             active=self.active[first],
             phase=self.phase[first],
+            source=self.phase[first],
             extrapolated=is_extrapolated(self.arrays, numbers, t),
-            joint_names=self.joint_names,
-            position_names=position_names(self.model, quaternion),
-            velocity_names=velocity_names(self.model, base_velocity),
-            torque_names=self.torque_names,
-            angle_names=angle_names,
-            contact_frames=self.contact_frames,
-            contact_names=self.contact_names,
-            contact_kinds=tuple(contact.kind for contact in self.description.contacts),
             phase_names=self.phase_names,
             quaternion=quaternion,
             base_velocity=base_velocity,
-            has_drives=any(drive is not None for drive in self.drives),
         )
 
     def to_pandas(self, rate: float | None = None, **sampling: Any) -> Any:

@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trajopt.motion.description import GroundShape
-from trajopt.motion.solution import Solution
+from trajopt.motion.description import GroundShape, PlanDescription
 from trajopt.terrain.surface import UP, Surface
 
 
@@ -55,24 +54,20 @@ class TouchedSurfaces:
         return np.where(self.known, self.along_normal(position - self.point), np.nan)
 
 
-def touched_surfaces(
-    plan: Solution, position: np.ndarray, phases: np.ndarray | None = None
-) -> TouchedSurfaces:
-    """Return the touched surfaces of a consistent solution. Raises `SolutionFileError`.
+def touched_surfaces(about: PlanDescription, position: np.ndarray, phases: np.ndarray) -> TouchedSurfaces:
+    """Return the surfaces that contacts touch in phases (K,) of a plan. Raises `SolutionFileError`.
 
     ``position`` (K, nc, 3) m: contact frames, under which uneven ground is evaluated.
-    ``phases`` (K,): phases of these positions; default: those of the samples.
     """
-    frames, rows = list(plan.contact_frames), plan.phase if phases is None else phases
-    radii = plan.description.radii
-    point, normal, known = _ground(plan.description.ground, position, radii)
+    frames, radii = list(about.frames), about.radii
+    point, normal, known = _ground(about.ground, position, radii)
     friction = np.tile(
-        np.array([contact.friction for contact in plan.description.contacts], dtype=float), (len(rows), 1)
+        np.array([contact.friction for contact in about.contacts], dtype=float), (len(phases), 1)
     )
     bilateral, slip = np.zeros(friction.shape, dtype=bool), np.full(friction.shape, np.nan)
-    for phase, surfaces in enumerate(plan.description.surfaces):
+    for phase, surfaces in enumerate(about.surfaces):
         for frame, surface in surfaces.items():
-            at = (rows == phase, frames.index(frame))
+            at = (phases == phase, frames.index(frame))
             raised = surface.offset(float(radii[at[1]]))
             point[at], normal[at], friction[at] = raised.point, raised.normal, surface.friction
             bilateral[at], known[at] = surface.bilateral, True
@@ -80,8 +75,8 @@ def touched_surfaces(
     return TouchedSurfaces(
         point=point,
         normal=normal,
-        radius=np.tile(radii, (len(rows), 1)),
-        lever=(radii * plan.description.rolling)[:, None] * normal,
+        radius=np.tile(radii, (len(phases), 1)),
+        lever=(radii * about.rolling)[:, None] * normal,
         friction=friction,
         bilateral=bilateral,
         known=known,
@@ -110,12 +105,13 @@ def _ground(
     return point, normal, known
 
 
-def held_samples(plan: Solution) -> np.ndarray:
-    """Return where contacts are on bilateral surfaces (K, nc). Raises `SolutionFileError`."""
-    held, frames = np.zeros(plan.active.shape, dtype=bool), list(plan.contact_frames)
-    for phase, surfaces in enumerate(plan.description.surfaces):
+def held_contacts(about: PlanDescription, phases: np.ndarray) -> np.ndarray:
+    """Return whether contacts are on bilateral surfaces (K, nc) in phases (K,) of a plan."""
+    frames = list(about.frames)
+    held = np.zeros((len(phases), len(frames)), dtype=bool)
+    for phase, surfaces in enumerate(about.surfaces):
         for frame, surface in surfaces.items():
-            held[plan.phase == phase, frames.index(frame)] = surface.bilateral
+            held[phases == phase, frames.index(frame)] = surface.bilateral
     return held
 
 

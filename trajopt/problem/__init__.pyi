@@ -12,4 +12,4 @@ from .guessing import default_guess as default_guess
 from .guessing import posture_guess as posture_guess
 from .periodicity import Periodicity as Periodicity
 from .problem import Problem as Problem
-from .published import PublishedOptimum as PublishedOptimum
+from .problem import PublishedOptimum as PublishedOptimum

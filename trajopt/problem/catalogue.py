@@ -25,8 +25,7 @@ from trajopt.problem.family import Family, choose
 from trajopt.robot.catalogue import GROUP, kind_if_known, offers
 
 if TYPE_CHECKING:
-    from trajopt.problem.problem import Problem
-    from trajopt.problem.published import PublishedOptimum
+    from trajopt.problem.problem import Problem, PublishedOptimum
 
 
 @checked

@@ -1,15 +1,16 @@
 """A problem as data: robot, schedule, terrain, start, terms and a guess."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from trajopt.arguments import check_fields, checked
 from trajopt.errors import InputError
+from trajopt.inspection.standing import standing_feet
 from trajopt.problem.guessing import default_guess
 from trajopt.problem.periodicity import Periodicity, UnitRotation, closing_map, landing_at_start
 from trajopt.problem.places import Stances, require_places
@@ -32,9 +33,9 @@ from trajopt.robot.stance.minimal_coordinates import StanceMode
 from trajopt.robot.validation import require_configuration
 from trajopt.schedule.moment import Target, start_of
 from trajopt.schedule.placing import footholds_at, require_standing
-from trajopt.schedule.schedule import Motion, Schedule
+from trajopt.schedule.schedule import Motion, Phase, Schedule
 from trajopt.terms.context_symbols import Actuation
-from trajopt.terms.costs import NodeCost
+from trajopt.terms.costs import AccelerationCost, NodeCost, WrenchCost
 from trajopt.terms.dynamics import (
     BaseDynamics,
     ContactAcceleration,
@@ -45,11 +46,16 @@ from trajopt.terms.dynamics import (
     require_sliding,
     sliding_surfaces,
 )
+from trajopt.terms.friction import contact_cones
 from trajopt.terms.interfaces import Cost, NodeConstraint, PointConstraint, Term
 from trajopt.terms.landing import ContactLanding
 from trajopt.terms.moments import MomentConstraint
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.terrain import Ground, Terrain
+
+# Duration, s, intervals and friction (rubber on a dry floor) of the problem at rest. The weight of wrenches,
+# relative to accelerations, distributes forces without changing the motion.
+REST_DURATION, REST_INTERVALS, REST_FRICTION, SPREAD = 1.0, 4, 0.7, 1e-6
 
 
 @checked
@@ -338,3 +344,42 @@ class Problem:
         if landing:
             rows += (ContactLanding(at=start_of(first), contacts=landing, terrain=self.terrain),)
         return rows
+
+
+@checked
+@dataclass(frozen=True)
+class PublishedOptimum:
+    """A problem with a published optimum.
+
+    ``build`` returns the problem and ``value`` computes the published ``quantity`` from a solution. The
+    ``published`` value is from ``source`` and holds to a relative ``tolerance``. ``name`` is for tables.
+    """
+
+    name: str
+    build: Callable[[], Problem]
+    value: Callable[[Any], float]
+    quantity: str
+    published: float
+    tolerance: float
+    source: str
+
+
+def rest(robot: Robot, duration: float = REST_DURATION) -> Problem:
+    """Return the problem of staying in the reference posture for ``duration`` s, on the feet if any.
+
+    The cost is on accelerations, with a small weight on wrenches to distribute them. Torques are not limited,
+    and the robot starts at rest: a posture that is not balanced falls over.
+    """
+    feet = standing_feet(robot)
+    spread = (WrenchCost(weight=SPREAD),) if feet else ()
+    return Problem(
+        name="rest",
+        robot=robot,
+        schedule=Schedule((Phase(name="rest", duration=duration, contacts=tuple(c.name for c in feet)),)),
+        terrain=FlatGround(friction=REST_FRICTION),
+        initial_q=robot.reference,
+        initial_v=np.zeros(robot.nv),
+        terms=(AccelerationCost(weight=1.0), *spread, *contact_cones(feet)),
+        guess=lambda _: robot.reference,
+        default_intervals=REST_INTERVALS,
+    )

@@ -18,7 +18,7 @@ from trajopt.reduced.base_path import flights, turn_to_heading
 from trajopt.reduced.com_program import CenterOfMassProgram
 from trajopt.reduced.footsteps import FootstepPlan, feet_of
 from trajopt.reduced.legged import LeggedPosture
-from trajopt.reduced.lip import ComMotion, Pendulum
+from trajopt.reduced.lip import ComPath, Pendulum
 from trajopt.reduced.single_rigid_body import footholds_of
 from trajopt.robot.kinematics import contact_targets, inverse_kinematics
 from trajopt.robot.legs import require_free_flyer
@@ -94,7 +94,7 @@ class WalkPosture:
 
     robot: Robot
     feet: ContactPaths
-    motion: ComMotion
+    motion: ComPath
     q: np.ndarray
     data: pin.Data = field(init=False)
 
@@ -127,7 +127,7 @@ class WalkPosture:
 def guess_from_lip(
     robot: Robot,
     plan: FootstepPlan,
-    motion: ComMotion | None = None,
+    motion: ComPath | None = None,
     *,
     q: np.ndarray | None = None,
     clearance: float = DEFAULT_CLEARANCE,
@@ -137,7 +137,7 @@ def guess_from_lip(
     Args:
         robot: A robot on a free-flyer in world axes.
         plan: Footholds and their timing.
-        motion: Horizontal motion of the centre of mass; default: that of the `CenterOfMassProgram`, with half
+        motion: Horizontal path of the centre of mass; default: that of the `CenterOfMassProgram`, with half
             of the soles as a margin.
         q: Initial posture (nq,); default: the reference. The height of its centre of mass is kept.
         clearance: Height of the swings, m.

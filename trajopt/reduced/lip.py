@@ -170,12 +170,16 @@ class PendulumMotion:
         return self.pendulum.capture_point(self.com(t), self.velocity(t))
 
 
-class ComMotion(Protocol):
-    """Horizontal motion of the centre of mass: vectors (2,) at a time in s, world axes."""
+class ComPath(Protocol):
+    """Horizontal path of the centre of mass: a vector (2,) at a time in s, world axes."""
 
     def com(self, t: float) -> np.ndarray:
         """Position, m."""
         ...
+
+
+class ComMotion(ComPath, Protocol):
+    """A `ComPath` with its derivatives and zero moment point: vectors (2,) at a time in s, world axes."""
 
     def velocity(self, t: float) -> np.ndarray:
         """Velocity, m/s."""

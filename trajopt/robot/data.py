@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from trajopt.arguments import checked
 from trajopt.errors import InputError, first_line
-from trajopt.robot.mjcf_shapes import mjcf_geometry
+from trajopt.robot.mjcf import mjcf_geometry
 
 DATA_PACKAGE = "example-robot-data"
 # The wheel is built by cmeel, which puts its files under this prefix of site-packages.

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
-from trajopt.arguments import checked
+from trajopt.arguments import PositiveCount, checked
 from trajopt.dynamics.model_content import frame_content
 from trajopt.errors import InputError
 from trajopt.robot.robot import Robot
@@ -151,7 +151,7 @@ def inverse_kinematics_branches(
     targets: Targets,
     *,
     near: np.ndarray | None = None,
-    starts: int = STARTS,
+    starts: PositiveCount = STARTS,
     separation: float | None = None,
     turns: bool = False,
 ) -> tuple[Posture, ...]:
@@ -177,8 +177,6 @@ def inverse_kinematics_branches(
     Raises:
         InputError: for ``starts`` below one, and as `inverse_kinematics`.
     """
-    if starts < 1:
-        raise InputError(f"inverse kinematics from {starts} starts", "allowed: at least 1")
     near = robot.reference if near is None else np.asarray(near, dtype=float)
     _require_size(robot, near)
     _require_targets(robot, targets)

@@ -13,6 +13,7 @@ import pinocchio as pin
 
 from trajopt.arguments import checked
 from trajopt.dynamics.base_joint import BASE_JOINT
+from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.robot import Robot
@@ -26,6 +27,8 @@ FOOT_GAP = 0.02
 SAME_JOINT = 0.25
 # A frame nearer to a joint than this is at the joint, m.
 SAME_PLACE = 1e-9
+# Largest distance of a wheel's centre from the axis of its joint, over its radius.
+OFF_AXIS = 1e-3
 
 
 @checked
@@ -127,6 +130,36 @@ def biped_legs(robot: Robot) -> tuple[str, str]:
         raise InputError(f"robot '{robot.name}' has {len(feet)} feet", "allowed: a biped, 2 feet")
     (right,), (left,) = _halves(robot, feet, 1, "beside each other")
     return left, right
+
+
+@checked
+def feet_by_side(robot: Robot) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Contacts of a robot's left and right feet in its reference posture, each side from hind to front.
+
+    Of an odd number of feet the left side has one more; of two feet on the midline the front one is left.
+    Raises as `feet_in_base`.
+    """
+    feet, gap = feet_in_base(robot), FOOT_GAP * robot.length
+    ordered = sorted(feet, key=lambda name: (round(feet[name][1] / gap), feet[name][0]))
+    sides = ordered[len(feet) // 2 :], ordered[: len(feet) // 2]
+    left, right = (tuple(sorted(side, key=lambda name: feet[name][0])) for side in sides)
+    return left, right
+
+
+@checked
+def wheel_rows(robot: Robot) -> dict[str, int]:
+    """Rows of v of the joints that turn wheels, by contact name.
+
+    A wheel is a rolling contact whose centre is on the axis of the joint of its link.
+    """
+    model, rows = robot.model, {}
+    for contact in robot.contacts:
+        joint = model.joints[model.frames[model.getFrameId(contact.frame)].parentJoint]
+        if contact.rolling and joint.nv == 1:
+            motion = contact_jacobian(model, robot.reference, [(contact.frame, 6)])[:, joint.idx_v]
+            if motion[3:].any() and np.linalg.norm(motion[:3]) < OFF_AXIS * contact.radius:
+                rows[contact.name] = joint.idx_v
+    return rows
 
 
 @checked

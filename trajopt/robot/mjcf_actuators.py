@@ -40,9 +40,10 @@ def actuation_of(compiled: Any) -> JointActuation:
     driven, thrusters, others = np.zeros(compiled.njnt, dtype=bool), [], []
     for index in range(count):
         joint, gear = int(compiled.actuator_trnid[index, 0]), compiled.actuator_gear[outputs[index], 0]
-        plain = compiled.actuator_trntype[index] in JOINT_TRANSMISSIONS and not _is_muscle_or_damper(
-            compiled, index
-        )
+        kind, gain = compiled.actuator_gaintype[index], compiled.actuator_gainprm[index]
+        is_damper = kind == AFFINE_GAIN and not gain[:2].any()  # its force is a multiple of the rate alone
+        on_joint = compiled.actuator_trntype[index] in JOINT_TRANSMISSIONS
+        plain = on_joint and kind != MUSCLE and not is_damper
         if not plain or compiled.jnt_type[joint] not in (SLIDE, HINGE):
             name = compiled.actuator(index).name or f"actuator{index}"
             thruster = _thruster(compiled, index, name, compiled.actuator_gear[outputs[index]])
@@ -58,12 +59,6 @@ def actuation_of(compiled: Any) -> JointActuation:
     return JointActuation(
         np.abs(ranges).min(axis=1, initial=np.inf), armature, driven, tuple(thrusters), tuple(others)
     )
-
-
-def _is_muscle_or_damper(compiled: Any, index: int) -> bool:
-    """Whether an actuator is a muscle, or a damper, whose force is a multiple of the rate alone."""
-    kind, gain = compiled.actuator_gaintype[index], compiled.actuator_gainprm[index]
-    return bool(kind == MUSCLE or (kind == AFFINE_GAIN and not gain[:2].any()))
 
 
 def _thruster(compiled: Any, index: int, name: str, gear: np.ndarray) -> Thruster | None:

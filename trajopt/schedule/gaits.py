@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from types import MappingProxyType
@@ -23,7 +23,7 @@ from types import MappingProxyType
 from trajopt.arguments import Positive, PositiveCount, checked
 from trajopt.dynamics.model_quantities import gravity_of
 from trajopt.errors import InputError, not_among
-from trajopt.robot.legs import biped_legs, feet_in_base, quadruped_legs
+from trajopt.robot.legs import biped_legs, feet_by_side, feet_in_base, quadruped_legs
 from trajopt.robot.robot import Robot
 from trajopt.schedule.schedule import Phase
 
@@ -314,33 +314,54 @@ BIPED = _by_name(
 HOPPER = _by_name(Gait(name="hop", duty=0.5, offsets={"foot": 0.0}))
 
 
+def _waves(left: Sequence[str], right: Sequence[str]) -> Mapping[str, Gait]:
+    """Gaits of three, five or more feet, given from hind to front: waves from hind to front on each side.
+
+    With k of n feet in the air, the duty factor is 1 - k/n, and each foot of a side lags the one behind it by
+    a swing, k/n. The right side lags by half a period, of a wave by all swings of the left. With four feet
+    these are the footfalls of walk and trot (Wilson, "Insect walking", Annual Review of Entomology 11, 1966).
+    """
+    n = len(left) + len(right)
+    swinging = {"tripod" if n == 6 else "alternating": n / 2, "ripple": 2.0, "wave": 1.0}
+    gaits = []
+    if n < 5:  # two of three in the air leave one
+        swinging = {"wave": 1.0}
+        gaits.append(Gait(name="pronk", duty=0.6, offsets=dict.fromkeys((*left, *right), 0.0)))
+    for name, count in swinging.items():
+        lag, half = count / n, len(left) / n if count == 1 else 0.5
+        offsets = {foot: lag * i for i, foot in enumerate(left)}
+        offsets |= {foot: half + lag * i for i, foot in enumerate(right)}
+        gaits.append(Gait(name=name, duty=1 - lag, offsets=offsets))
+    return _by_name(*gaits)
+
+
 @checked
 def gait_names(robot: Robot) -> tuple[str, ...]:
-    """Names of the gaits for a robot's number of feet.
-
-    Raises `InputError` unless the robot has 1, 2 or 4 feet.
-    """
-    return tuple(_known(robot, len(feet_in_base(robot))))
+    """Names of the gaits for a robot's number of feet. Raises `InputError` for a robot without feet."""
+    return tuple(_gaits(robot))
 
 
-def _known(robot: Robot, feet: int) -> Mapping[str, Gait]:
-    known = {4: QUADRUPED, 2: BIPED, 1: HOPPER}.get(feet)
+def _gaits(robot: Robot) -> Mapping[str, Gait]:
+    """Gaits on the feet of a robot, by name."""
+    feet = tuple(feet_in_base(robot))
+    known = {4: QUADRUPED, 2: BIPED, 1: HOPPER}.get(len(feet))
     if known is None:
-        raise InputError(f"robot '{robot.name}' has {feet} feet", "allowed: 1, 2 or 4 for a named gait")
-    return known
+        return _waves(*feet_by_side(robot))
+    names: Mapping[str, str] = {"foot": feet[0]}
+    if known is QUADRUPED:
+        names = quadruped_legs(robot).by_role
+    elif known is BIPED:
+        names = dict(zip(("left", "right"), biped_legs(robot), strict=True))
+    return {name: gait.on(names) for name, gait in known.items()}
 
 
 @checked
 def gait_of(robot: Robot, name: str) -> Gait:
-    """The gait of that name on the feet of a robot: a quadruped, a biped or a hopper.
+    """The gait of that name on the feet of a robot.
 
-    Raises `InputError` for another number of feet, or a name that is not a gait for that number of feet.
+    Raises `InputError` for a robot without feet, or a name that is not a gait for its number of feet.
     """
-    feet = feet_in_base(robot)
-    known = _known(robot, len(feet))
+    known = _gaits(robot)
     if name not in known:
         raise not_among(known, name, f"gait '{name}' is unknown")
-    if known is QUADRUPED:
-        return known[name].on(quadruped_legs(robot).by_role)
-    names = biped_legs(robot) if known is BIPED else tuple(feet)
-    return known[name].on(dict(zip(known[name].feet, names, strict=True)))
+    return known[name]

@@ -1,4 +1,4 @@
-"""A scene, a controller and events give a record in MuJoCo: of plans, pushes and drives."""
+"""Plans, pushes and drives run in MuJoCo: a scene, a controller and events produce a record."""
 
 import lazy_loader
 

@@ -4,5 +4,7 @@ from .lockstep import drive as drive
 from .mjcf import write_mjcf as write_mjcf
 from .push import PushReport as PushReport
 from .push import largest_pushes as largest_pushes
+from .settings import Event as Event
 from .settings import Impulse as Impulse
 from .settings import SimulationSettings as SimulationSettings
+from .settings import TorqueController as TorqueController

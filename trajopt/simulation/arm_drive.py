@@ -7,28 +7,26 @@ from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, ClassVar, TypeVar
 
 import numpy as np
 
 from trajopt.arguments import Positive, checked
+from trajopt.certify.figures import figure
 from trajopt.collision import Obstacle
 from trajopt.control.mpc.arm import ArmController, ArmSettings, ToolTarget
 from trajopt.control.mpc.commands import unreadable
-from trajopt.control.reference import ContactTimeline
 from trajopt.errors import InputError, shown
 from trajopt.kinds import ArrayShape
-from trajopt.motion.solution import Solution
 from trajopt.robot.kinematics import frame_pose
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.robot.robot import Robot
+from trajopt.simulation.clock import lockstep
 from trajopt.simulation.drive_report import PlanFigures, plan_figures
 from trajopt.simulation.driven_scene import DrivenScene
 from trajopt.simulation.lockstep import LAST
-from trajopt.simulation.record import SimulationRecord
-from trajopt.simulation.scene import Scene
 from trajopt.simulation.settings import SimulationSettings
-from trajopt.simulation.simulated import simulated_solution
+from trajopt.simulation.simulated import SimulatedMotion
 
 # Largest offset of the target from its start, over the robot's length, and its speed in natural units.
 FARTHEST, TARGET_SPEED = 0.35, 0.2
@@ -57,45 +55,22 @@ class ArmDriveReport(PlanFigures):
         targets: times, s, and positions, m, to which the target was sent.
     """
 
-    tool: str
-    error_mean: float
-    error_95: float
-    error_max: float
-    nearest: float | None
-    beyond: float
-    rate: float
-    targets: tuple[tuple[float, tuple[float, ...]], ...]
+    WORDS: ClassVar[tuple[str, str, str]] = ("it did not fail", "it failed", "")
 
-    def table(self) -> str:
-        """Figures as text, one per line."""
-        mean, high, most = (1e3 * error for error in (self.error_mean, self.error_95, self.error_max))
-        lines = [
-            ("driven", f"{self.simulated:.3f} s"),
-            ("tool from target", f"{mean:.1f} mm mean, {high:.1f} at 95 %, {most:.1f} largest"),
-            ("nearest bodies", "-" if self.nearest is None else f"{1e3 * self.nearest:.0f} mm"),
-            ("joints", f"{self.beyond:.2g} rad beyond limits, rates {100 * self.rate:.0f} % of theirs"),
-            *self._lines,
-        ]
-        text = [f"{name:27} {value}" for name, value in lines]
-        end = [f"it failed at {self.fall_time:.3f} s: {self.fall_reason}"] if self.fell else []
-        return "\n".join([*text, *end])
+    tool: str
+    error_mean: float = figure("tool from target, mean", "mm", scale=1e3)
+    error_95: float = figure("tool from target, 95 %", "mm", scale=1e3)
+    error_max: float = figure("tool from target, largest", "mm", scale=1e3)
+    nearest: float | None = figure("nearest bodies", "mm", scale=1e3)
+    beyond: float = figure("joints beyond their limits", "rad")
+    rate: float = figure("joint rates over their limits", "%", scale=100.0)
+    targets: tuple[tuple[float, tuple[float, ...]], ...]
 
 
 @dataclass(frozen=True, kw_only=True)
-class ArmDrive:
-    """The recorded drive of an arm.
+class ArmDrive(SimulatedMotion):
+    """A drive of an arm; ``target`` is the position of its target at the ticks (n, 3), m."""
 
-    Args:
-        scene: the simulated scene.
-        timeline: the ticks.
-        record: the record.
-        target: position of the target at the ticks (n, 3), m.
-        report: the report.
-    """
-
-    scene: Scene
-    timeline: ContactTimeline
-    record: SimulationRecord
     target: np.ndarray
     report: ArmDriveReport
 
@@ -103,39 +78,29 @@ class ArmDrive:
     def of(cls, driven: DrivenScene, steering: ToolSteering) -> ArmDrive:
         """The recorded part of a simulation under ``steering``."""
         timeline, record = driven.timeline.until(driven.row), driven.recorded()
+        robot, controller, period = driven.robot, steering.controller, timeline.period
         times = driven.offset + timeline.t[: len(record.feet)]
         target = np.array([steering.path.at(time)[0] for time in times.tolist()])
-        report = _report(driven, steering, record, target)
-        return cls(scene=driven.scene, timeline=timeline, record=record, target=target, report=report)
-
-    def as_solution(self) -> Solution:
-        """The motion as a solution of the same model; ``statistics.simulated`` is true."""
-        return simulated_solution(self.scene, self.timeline, self.record, self.report)
-
-
-def _report(
-    driven: DrivenScene, steering: ToolSteering, record: SimulationRecord, target: np.ndarray
-) -> ArmDriveReport:
-    robot, controller, coordinates = driven.robot, steering.controller, driven.scene.coordinates
-    qpos, qvel = (rows[: len(target)] for rows in (record.qpos, record.qvel))
-    q, v = coordinates.from_mujoco(qpos), coordinates.rates_from_mujoco(qpos, qvel)
-    tool = np.array([frame_pose(robot, each, controller.tool).translation for each in q])
-    error, period = np.linalg.norm(tool - target, axis=1), driven.timeline.period
-    distances = controller.scene.distances(q[:: max(1, round(STRIDE / period))])
-    beyond = np.maximum(robot.position_lower - q, q - robot.position_upper)
-    return ArmDriveReport(
-        **plan_figures(controller, record, period, driven.fall),
-        tool=controller.tool,
-        error_mean=float(error.mean()),
-        error_95=float(np.percentile(error, 95)),
-        error_max=float(error.max()),
-        nearest=float(distances.min()) if distances.size else None,
-        beyond=max(float(beyond.max()), 0.0),
-        rate=float((np.abs(v) / robot.velocity_limit).max()),
-        targets=tuple(
-            (time, tuple(place.tolist())) for time, place in since(steering.path.goals, driven.offset)
-        ),
-    )
+        qpos, qvel = (rows[: len(target)] for rows in (record.qpos, record.qvel))
+        q = driven.scene.coordinates.from_mujoco(qpos)
+        v = driven.scene.coordinates.rates_from_mujoco(qpos, qvel)
+        tool = np.array([frame_pose(robot, each, controller.tool).translation for each in q])
+        error = np.linalg.norm(tool - target, axis=1)
+        distances = controller.scene.distances(q[:: max(1, round(STRIDE / period))])
+        beyond = np.maximum(robot.position_lower - q, q - robot.position_upper)
+        goals = since(steering.path.goals, driven.offset)
+        report = ArmDriveReport(
+            **plan_figures(controller, record, period, driven.fall),
+            tool=controller.tool,
+            error_mean=float(error.mean()),
+            error_95=float(np.percentile(error, 95)),
+            error_max=float(error.max()),
+            nearest=float(distances.min()) if distances.size else None,
+            beyond=max(float(beyond.max()), 0.0),
+            rate=float((np.abs(v) / robot.velocity_limit).max()),
+            targets=tuple((time, tuple(place.tolist())) for time, place in goals),
+        )
+        return cls(**driven.motion_fields(timeline, record), target=target, report=report)
 
 
 def since(log: Sequence[tuple[float, Sent]], offset: float) -> list[tuple[float, Sent]]:
@@ -273,5 +238,5 @@ def drive_arm(
         allowed = f"allowed: {steering.low[axis]:.4g} to {steering.high[axis]:.4g} m"
         raise InputError(f"{AXES[axis]} is {shown(float(goals[row, axis]))}", allowed)
     driven.begin(steering)
-    driven.advance(len(driven.timeline.t))
+    driven.simulate(lockstep)
     return ArmDrive.of(driven, steering)

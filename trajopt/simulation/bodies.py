@@ -57,13 +57,6 @@ def build_bodies(model: pin.Model) -> Bodies:
     return Bodies(model=model, spec=spec, names=tuple(body_name(i) for i in range(len(bodies))))
 
 
-def add_geom(body: Any, name: str, kind: str, **fields: Any) -> str:
-    """Add a geom of a ``kind`` ("sphere", "box", ...) that collides only in named pairs; returns its name."""
-    shape = getattr(mujoco_package().mjtGeom, f"mjGEOM_{kind.upper()}")
-    body.add_geom(name=name, type=shape, contype=0, conaffinity=0, **fields)
-    return name
-
-
 def mujoco_quaternion(rotation: np.ndarray) -> np.ndarray:
     """Return MuJoCo's quaternion (w, x, y, z) of a rotation matrix (3, 3)."""
     quaternion = pin.Quaternion(np.array(rotation)).normalized()

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from trajopt.control.inverse_dynamics import RELAXED
-from trajopt.control.mpc.commands import STAND, CommandScript
-from trajopt.motion.meta import jsonable
-
-if TYPE_CHECKING:
-    from trajopt.control.mpc.arm import ArmController
-    from trajopt.control.mpc.controller import Controller
-    from trajopt.simulation.figures import Fall
-    from trajopt.simulation.record import SimulationRecord
+from trajopt.certify.figures import figure
+from trajopt.control.mpc.arm import ArmController
+from trajopt.control.mpc.commands import CommandScript
+from trajopt.control.mpc.controller import Controller
+from trajopt.simulation.figures import Fall
+from trajopt.simulation.record import SimulationRecord
+from trajopt.simulation.report import MotionReport
 
 # Tracking errors count from this time after each change of command, s.
 SETTLED = 0.5
@@ -27,9 +25,9 @@ class TimeFigures:
     """Mean, median, 95th and 99th percentile of a set of times, s."""
 
     mean: float
-    median: float
+    median: float = figure("median", "ms", scale=1e3)
     p95: float
-    p99: float
+    p99: float = figure("99 %", "ms", scale=1e3)
 
     @classmethod
     def of(cls, times: Sequence[float]) -> TimeFigures:
@@ -38,21 +36,17 @@ class TimeFigures:
         median, p95, p99 = np.percentile(values, [50, 95, 99])
         return cls(mean=float(values.mean()), median=float(median), p95=float(p95), p99=float(p99))
 
-    def __str__(self) -> str:
-        mean, median, p95, p99 = (1e3 * value for value in (self.mean, self.median, self.p95, self.p99))
-        return f"{median:.2f} ms median, {mean:.2f} mean, {p95:.2f} / {p99:.2f} at 95 / 99 %"
-
 
 @dataclass(frozen=True, kw_only=True)
 class CommandErrors:
     """Rms errors of forward speed and speed to the left, m/s, and of turn rate, rad/s.
 
-    They cover the time in which the robot walks, from `SETTLED` s after each change of command on.
+    They cover the time in which the robot walks or rolls, from `SETTLED` s after each change of command on.
     """
 
-    speed: float
-    lateral: float
-    turn_rate: float
+    speed: float = figure("forward", "m/s")
+    lateral: float = figure("to the left", "m/s")
+    turn_rate: float = figure("turn rate", "rad/s")
 
     @classmethod
     def of(cls, errors: np.ndarray) -> CommandErrors | None:
@@ -61,9 +55,6 @@ class CommandErrors:
             return None
         speed, lateral, turn_rate = np.sqrt((errors**2).mean(axis=0)).tolist()
         return cls(speed=speed, lateral=lateral, turn_rate=turn_rate)
-
-    def __str__(self) -> str:
-        return f"{self.speed:.3f} m/s, {self.lateral:.3f} m/s, {self.turn_rate:.3f} rad/s"
 
 
 def command_errors(
@@ -75,12 +66,12 @@ def command_errors(
         script: commands over time.
         velocity: forward speed, speed to the left, m/s, and turn rate, rad/s, at ticks (n, 3).
         period: period of the ticks, s.
-        periods: periods of the gaits by name, s.
+        periods: periods of the gaits that count by name, s.
     """
     ends = [*script.times[1:], len(velocity) * period]
     means, values = [np.zeros((0, 3))], [np.zeros((0, 3))]
     for begin, end, command in zip(script.times, ends, script.commands, strict=True):
-        if command.gait == STAND:
+        if command.gait not in periods:
             continue
         window = min(round(periods[command.gait] / period), len(velocity))
         first = round(max(begin + SETTLED, periods[command.gait] / 2) / period)
@@ -93,56 +84,29 @@ def command_errors(
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlanFigures:
+class PlanFigures(MotionReport):
     """Figures of any drive, with legs or arms.
 
-    ``simulated``: s, less after a fall; ``fall_time``: s. ``saturated``: share of torques that were clipped.
-    ``missed``: plans that took longer than the ``deadline`` in s, which has no effect in lockstep.
-    ``begun_anew``: plans that were lost, after which the next one starts afresh. ``plans_relaxed``: plans
-    with violated rows, and ``violations``: the largest scaled violation, by the name of the rows, see
+    ``simulated``: s, less after a fall. ``saturated``: share of torques that were clipped. ``missed``: plans
+    that took longer than the ``deadline`` in s, which has no effect in lockstep. ``begun_anew``: plans that
+    were lost, after which the next one starts afresh. ``plans_relaxed``: plans with violated rows, and
+    ``violations``: the largest scaled violation, by the name of the rows, see
     `trajopt.control.mpc.plans.ControllerReport`. ``plan_times``, ``solver_times``, ``tick_times``: of whole
     plans, of their solver, and of a tick's torques; the first plan, for which the robot waits, is left out.
     """
 
-    robot: str
-    simulated: float
-    fell: bool
-    fall_time: float | None
-    fall_reason: str
-    saturated: float
-    plans: int
-    deadline: float
-    missed: int
-    begun_anew: int
-    plans_relaxed: Mapping[str, int]
-    violations: Mapping[str, float]
-    plan_times: TimeFigures
-    solver_times: TimeFigures
-    tick_times: TimeFigures
+    simulated: float = figure("driven", "s")
+    plans: int = figure("plans")
+    deadline: float = figure("time until a plan is used", "ms", scale=1e3)
+    missed: int = figure("plans that took longer")
+    begun_anew: int = figure("plans begun anew")
+    plans_relaxed: Mapping[str, int] = figure("plans relaxed")
+    violations: Mapping[str, float] = figure("violation", "scaled", applies=lambda r: r.plans_relaxed)
+    plan_times: TimeFigures = figure("time of a plan")
+    solver_times: TimeFigures = figure("time of its solver")
+    tick_times: TimeFigures = figure("time of a tick's torques")
+    saturated: float = figure("torques cut off", "%", scale=100.0)
     settings: Mapping[str, Any]
-
-    @property
-    def passed(self) -> bool:
-        """Whether the robot did not fall and was simulated to the end."""
-        return not self.fell
-
-    def to_dict(self) -> dict[str, Any]:
-        """The figures as JSON-able values."""
-        return jsonable({"passed": self.passed, **asdict(self)})
-
-    @property
-    def _lines(self) -> list[tuple[str, str]]:
-        """Names and values of the figures about plans."""
-        rows = [f"{name} in {n} ({self.violations[name]:.2g})" for name, n in self.plans_relaxed.items()]
-        return [
-            ("plans", f"{self.plans}, {self.missed} longer than {1e3 * self.deadline:g} ms"),
-            ("plans begun anew", f"{self.begun_anew}"),
-            ("plans relaxed, most, scaled", ", ".join(rows) or RELAXED[0]),
-            ("time of a plan", str(self.plan_times)),
-            ("of its solver", str(self.solver_times)),
-            ("of a tick's torques", str(self.tick_times)),
-            ("torques cut off", f"{100 * self.saturated:.2f} %"),
-        ]
 
 
 def plan_figures(
@@ -153,9 +117,7 @@ def plan_figures(
     return {
         "robot": controller.robot.name,
         "simulated": len(record.feet) * period,
-        "fell": fall is not None,
-        "fall_time": None if fall is None else fall.time,
-        "fall_reason": "" if fall is None else fall.why,
+        **MotionReport.of_fall(fall),
         "saturated": float(record.saturated.mean()),
         "plans": len(counts.planning),
         "deadline": settings.delay,
@@ -186,24 +148,10 @@ class DriveReport(PlanFigures):
     """
 
     duration: float
-    distance: float
-    mean_errors: CommandErrors | None
-    errors: CommandErrors | None
-    relaxed: Mapping[str, int]
-    slack: float
+    relaxed: Mapping[str, int] = figure("ticks by relaxation")
+    slack: float = figure("ticks, slack", "natural")
+    distance: float = figure("distance", "m")
+    mean_errors: CommandErrors | None = figure("rms error of mean velocity")
+    errors: CommandErrors | None = figure("rms error of velocity")
     gaits: Mapping[str, float]
     script: CommandScript
-
-    def table(self) -> str:
-        """The figures as readable text, one a line."""
-        relaxed = [f"{what} in {count}" for what, count in self.relaxed.items() if what != RELAXED[0]]
-        lines = [
-            ("driven", f"{self.simulated:.3f} s of {self.duration:.3f} s, {self.distance:.2f} m"),
-            ("speed, lateral, turn, rms", str(self.mean_errors or "-")),
-            ("without a mean over periods", str(self.errors or "-")),
-            *self._lines,
-            ("ticks relaxed", f"{', '.join(relaxed) or RELAXED[0]}, slack {self.slack:.2g} in natural units"),
-        ]
-        text = [f"{name:27} {value}" for name, value in lines]
-        end = f"it fell at {self.fall_time:.3f} s: {self.fall_reason}" if self.fell else "it did not fall"
-        return "\n".join([*text, end])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -13,25 +14,26 @@ from trajopt.control.reference import ContactTimeline
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError, TrajoptError
 from trajopt.inspection.standing import standing_feet
+from trajopt.problem.problem import rest
 from trajopt.robot.actuators.joint_force import joint_force
 from trajopt.robot.contact import Contact
 from trajopt.robot.kinematics import contact_positions
 from trajopt.robot.mujoco_package import muted_mujoco
 from trajopt.robot.robot import Robot
-from trajopt.simulation.controllers import TorqueController
-from trajopt.simulation.figures import Fall, FallTest, mean_height
+from trajopt.simulation.figures import Fall, FallTest
 from trajopt.simulation.record import SimulationRecord
 from trajopt.simulation.run import SimulationRun, Start
 from trajopt.simulation.scene import Scene, build_scene
-from trajopt.simulation.settings import SimulationSettings
+from trajopt.simulation.settings import SimulationSettings, TorqueController
 from trajopt.simulation.simulate import require_fitting, require_within
 from trajopt.simulation.site import SceneRobot, Site
 from trajopt.solving.extraction import described
-from trajopt.solving.rest import rest
 from trajopt.terrain.piecewise import PiecewiseTerrain
 
 # Largest height of the ground under the feet at the start, m: rounding.
 LEVEL = 1e-9
+# Number of ticks that may pass now; 0 ends the drive.
+Clock = Callable[["DrivenScene"], int]
 
 
 class DrivenScene:
@@ -84,8 +86,7 @@ class DrivenScene:
             site = Site.at_rest(simulated, q, np.flatnonzero(standing).tolist())
             self.scene: Scene = build_scene(site, settings)
         self._start = Start(q=q, v=np.zeros(robot.nv), torque=_torque_at_rest(robot, stands))
-        over = mean_height(robot.model, q[None], feet[None], standing[None]) if stands else 0.0
-        self._test = FallTest(scene=self.scene, height=over)
+        self._test = FallTest(self.scene)
 
     def begin(self, controller: TorqueController, height: Callable[[float], float] | None = None) -> None:
         """Put the robot back into its start.
@@ -101,6 +102,11 @@ class DrivenScene:
         self.row = 0
         self.fall = None
 
+    def simulate(self, clock: Clock) -> None:
+        """Simulate as many ticks at a time as the clock lets pass, until it ends the drive."""
+        while count := clock(self):
+            self.advance(count)
+
     @property
     def offset(self) -> float:
         """Time at which the record begins, s after the start."""
@@ -114,8 +120,10 @@ class DrivenScene:
     def advance(self, count: int) -> None:
         """Simulate ``count`` ticks, or until the simulation fails, and judge whether the robot has fallen.
 
-        A full record drops its older half.
+        A full record drops its older half. A fallen robot stays as it is.
         """
+        if self.fall is not None:
+            return
         if self.row + count > len(self.timeline.t):
             self._forget()
         first, why = self.row, "the simulation diverged"
@@ -137,6 +145,10 @@ class DrivenScene:
         record, data = self.record.until(self.row + 1), self.run.data
         record.qpos[self.row], record.qvel[self.row] = data.qpos, data.qvel
         return record
+
+    def motion_fields(self, timeline: ContactTimeline, record: SimulationRecord) -> dict[str, Any]:
+        """Fields of a `SimulatedMotion` beside its report."""
+        return {"scene": self.scene, "settings": self.settings, "timeline": timeline, "record": record}
 
     def _forget(self) -> None:
         half = len(self.timeline.t) // 2

@@ -1,4 +1,7 @@
-"""Events of a simulation: payloads, grasps and friction change with the phase, and pushes act on the base."""
+"""Events of a simulation: payloads, grasps and friction change with the phase, and pushes act on the base.
+
+Events of the user's own (`Event`) come last at each tick.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +30,7 @@ class Events:
     Args:
         scene: the scene.
         timeline: ticks and their phases; the last phase goes on after the last tick.
-        settings: scales of masses, and pushes.
+        settings: scales of masses, pushes, and events of the user.
 
     Attributes:
         impulses: impulses on the base; others may be set at any time.
@@ -39,6 +42,7 @@ class Events:
         self.impulses: tuple[Impulse, ...] = settings.impulses
         self._forces: dict[Impulse, np.ndarray] = {}
         kind, model = scene.robot.base, scene.compiled
+        self._own, self._pair_friction = tuple(settings.events), model.pair_friction.copy()
         self._base = None if kind == "fixed" else model.body(body_name(BASE_JOINT[kind])).id
         gravity = np.linalg.norm(model.opt.gravity)
         self._up = -model.opt.gravity / gravity if gravity > 0 else np.array([0.0, 0.0, 1.0])
@@ -47,10 +51,15 @@ class Events:
         """Apply the events of tick ``k``; ``anew`` also those that earlier ticks have applied."""
         phases = self._timeline.source
         now, before = (int(phases[min(tick, len(phases) - 1)]) for tick in (k, max(k - 1, 0)))
-        if anew or now != before:
+        if self._own:
+            data.xfrc_applied[:] = 0.0
+            self._scene.compiled.pair_friction[:] = self._pair_friction
+        if self._own or anew or now != before:
             self.enter(now, data)
         if self._base is not None and (self._push or self.impulses):
             data.xfrc_applied[self._base, :3] = self._pushed(k, data)
+        for event in self._own:
+            event.apply(k * self._timeline.period, self._scene.compiled, data)
 
     def enter(self, phase: int, data: Any) -> None:
         """Apply what changes with a phase: payloads, grasps, and friction under contacts."""

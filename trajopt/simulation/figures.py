@@ -9,14 +9,10 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.control.reference import ContactTimeline, ReferenceTrajectory
-from trajopt.dynamics.base_joint import BASE_JOINT, base_of
-from trajopt.motion.arrays import rows_of
-from trajopt.motion.quantities import MotionQuantities
-from trajopt.motion.samples import contact_places, state_distance
-from trajopt.motion.solution import Solution
-from trajopt.motion.touched import TouchedSurfaces
+from trajopt.motion.samples import state_distance
 from trajopt.simulation.record import SimulationRecord
 from trajopt.simulation.scene import Scene, touching_places
+from trajopt.simulation.site import base_poses, upwards
 
 # A contact is loaded above this fraction of the weight: far above rounding, far below a leg's share.
 LOADED = 0.02
@@ -81,17 +77,12 @@ def loaded_contacts(record: SimulationRecord, scene: Scene) -> np.ndarray:
     return np.asarray(force > LOADED * scene.units.weight)
 
 
-def phase_surfaces(plan: Solution) -> TouchedSurfaces:
-    """Surfaces that contacts touch, at the first sample of each phase of the file."""
-    return rows_of(MotionQuantities(plan).surfaces, [phase.start for phase in plan.phases])
-
-
 def simulated_stances(
-    plan: Solution, reference: ReferenceTrajectory, record: SimulationRecord, scene: Scene
+    reference: ReferenceTrajectory, record: SimulationRecord, scene: Scene
 ) -> tuple[SimulatedStance, ...]:
     """All planned stances, contact by contact."""
     n = min(len(record.feet), reference.planned)
-    loaded, surfaces, stances = loaded_contacts(record, scene)[:n], phase_surfaces(plan), []
+    loaded, surfaces, stances = loaded_contacts(record, scene)[:n], scene.site.surfaces, []
     gap = round(PULSES * scene.units.time / reference.period)
     for contact in range(loaded.shape[1]):
         runs = _runs(reference.active[:n, contact])
@@ -182,68 +173,31 @@ def force_error(reference: ReferenceTrajectory, record: SimulationRecord) -> flo
     return float(np.sqrt((difference**2).sum(axis=(1, 2)).mean())) if difference.size else None
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class FallTest:
-    """Whether a robot falls; on a fixed base it falls only if its simulation diverges.
-
-    Args:
-        scene: the simulated scene.
-        height: mean height of the base over the feet, m; zero without feet.
-    """
+    """Whether a robot falls; on a fixed base it falls only if its simulation diverges."""
 
     scene: Scene
-    height: float
-
-    @classmethod
-    def of_plan(cls, scene: Scene, plan: Solution) -> FallTest:
-        """The test with the height of a plan's base over its active contacts."""
-        height = 0.0
-        if base_of(plan.model) != "fixed" and plan.active.any():
-            position = contact_places(plan).position
-            height = mean_height(plan.model, plan.q, position, plan.active)
-        return cls(scene=scene, height=height)
 
     def first(
         self, record: SimulationRecord, timeline: ContactTimeline, rows: slice, wanted: np.ndarray
     ) -> Fall | None:
         """The first fall in some rows of a record, where the robot should be at ``wanted`` (n, nq)."""
-        t, robot, falls = timeline.t[rows], self.scene.robot, []
+        t, robot, height, falls = timeline.t[rows], self.scene.robot, self.scene.site.height, []
         touched = record.touched[rows]
         if len(touched) < len(t):
             falls.append(Fall(time=float(t[len(touched)]), why="the simulation diverged"))
         if robot.base != "fixed" and len(touched):
             q = self.scene.coordinates.from_mujoco(record.qpos[rows])[: len(touched)]
             actual, planned = base_poses(robot.model, q), base_poses(robot.model, wanted[: len(q)])
-            dropped = (planned[:, :, 3] - actual[:, :, 3]) @ upwards(robot.model) > LARGEST_DROP * self.height
+            dropped = (planned[:, :, 3] - actual[:, :, 3]) @ upwards(robot.model) > LARGEST_DROP * height
             cosine = np.einsum("nij,nij->n", planned[:, :, :3], actual[:, :, :3])
             turned = np.arccos(np.clip((cosine - 1) / 2, -1, 1)) > LARGEST_TILT
             for flags, why in (
                 (touched, "a link touches the ground"),
-                (dropped & (self.height > 0), "the base has dropped"),
+                (dropped & (height > 0), "the base has dropped"),
                 (turned, "the base has turned over"),
             ):
                 if flags.any():
                     falls.append(Fall(time=float(t[int(flags.argmax())]), why=why))
         return min(falls, key=lambda fall: fall.time, default=None)
-
-
-def upwards(model: pin.Model) -> np.ndarray:
-    """Direction (3,) against gravity; zero without gravity."""
-    up = -np.array(model.gravity.linear)
-    return np.asarray(up / (np.linalg.norm(up) or 1.0))
-
-
-def base_poses(model: pin.Model, q: np.ndarray) -> np.ndarray:
-    """Rotation and position (n, 3, 4) of the base link in the scene."""
-    data, joint = model.createData(), BASE_JOINT[base_of(model)]
-    bases = np.zeros((len(q), 3, 4))
-    for row, configuration in enumerate(q):
-        pin.forwardKinematics(model, data, configuration)
-        bases[row, :, :3], bases[row, :, 3] = data.oMi[joint].rotation, data.oMi[joint].translation
-    return bases
-
-
-def mean_height(model: pin.Model, q: np.ndarray, feet: np.ndarray, active: np.ndarray) -> float:
-    """Mean height, m, of the base at q (K, nq) over the active of the contacts at ``feet`` (K, nc, 3)."""
-    over = (base_poses(model, q)[:, None, :, 3] - feet) @ upwards(model)
-    return max(float(over[active].mean()), 0.0)

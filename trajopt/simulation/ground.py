@@ -13,11 +13,10 @@ import numpy as np
 
 from trajopt.collision.shapes import BoxObstacle, LinkShape, Obstacle
 from trajopt.robot.mujoco_package import mujoco_package
-from trajopt.simulation.bodies import Bodies, add_geom, body_name, mujoco_quaternion
+from trajopt.simulation.bodies import Bodies, body_name, mujoco_quaternion
 from trajopt.simulation.settings import SimulationSettings
 from trajopt.simulation.site import BALL, Board, Site
-from trajopt.terrain.bodies import extruded
-from trajopt.terrain.patch import Patch
+from trajopt.terrain.bodies import solids_within
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.smooth import SmoothTerrain
 from trajopt.terrain.surface import Surface, frame_of_normal
@@ -97,6 +96,13 @@ def surroundings_of(site: Site, settings: SimulationSettings) -> Surroundings:
     )
 
 
+def add_geom(body: Any, name: str, kind: str, **fields: Any) -> str:
+    """Add a geom of a ``kind`` ("sphere", "box", ...) that collides only in named pairs; returns its name."""
+    shape = getattr(mujoco_package().mjtGeom, f"mjGEOM_{kind.upper()}")
+    body.add_geom(name=name, type=shape, contype=0, conaffinity=0, **fields)
+    return name
+
+
 def add_ground(spec: Any, place: Surroundings) -> GroundGeometry:
     """Add terrain and boards to a specification; terrain for links, and for contacts at each height."""
     geoms: list[tuple[str, Surface | None, tuple[float, ...], tuple[int, ...], float | None]] = []
@@ -139,10 +145,10 @@ def _terrain(
     if isinstance(terrain, Surface):
         yield _plane(spec, f"terrain{suffix}", terrain, lift), terrain, None
     elif isinstance(terrain, PiecewiseTerrain):
-        for number, face in enumerate(terrain.faces):
-            name = _prism(spec, f"face{number}{suffix}", face, lift, place)
-            if name:
-                yield name, face.surface, face.surface.friction
+        solids = solids_within(terrain, place.site.low, place.site.high, DEPTH * place.reach)
+        for number, (face, solid) in enumerate(solids):
+            name = _solid(spec, f"face{number}{suffix}", solid + lift * face.surface.normal)
+            yield name, face.surface, face.surface.friction
     elif isinstance(terrain, SmoothTerrain):
         yield _field(spec, f"terrain{suffix}", terrain, lift, place), None, terrain.friction
 
@@ -176,15 +182,10 @@ def _plane(spec: Any, name: str, surface: Surface, lift: float) -> str:
     )
 
 
-def _prism(spec: Any, name: str, face: Patch, lift: float, place: Surroundings) -> str:
-    """Add a solid below the part of a face around the motion; returns its name, empty if there is none."""
-    corners = face.within(place.site.low, place.site.high)
-    if len(corners) < 3:
-        return ""
-    top = corners + lift * face.surface.normal
-    solid = extruded(top, min(float(top[:, 2].min()), float(place.site.low[2])) - DEPTH * place.reach)
-    middle = solid.mean(axis=0)
-    mesh = spec.add_mesh(name=name, uservert=(solid - middle).ravel())
+def _solid(spec: Any, name: str, corners: np.ndarray) -> str:
+    """Add the convex hull of ``corners`` (n, 3) m, world, that a solid of the ground is; returns its name."""
+    middle = corners.mean(axis=0)
+    mesh = spec.add_mesh(name=name, uservert=(corners - middle).ravel())
     mesh.inertia = mujoco_package().mjtMeshInertia.mjMESH_INERTIA_CONVEX
     return add_geom(spec.worldbody, name, "mesh", meshname=name, pos=middle)
 

@@ -24,6 +24,7 @@ import pinocchio as pin
 
 from trajopt.control.reference import ReferenceTrajectory
 from trajopt.motion.cycles import moving_rows
+from trajopt.motion.sampled_motion import SampledMotion
 from trajopt.robot.mujoco_package import mujoco_package
 from trajopt.simulation.bodies import write_inertias
 from trajopt.simulation.scene import Scene
@@ -61,41 +62,38 @@ class JointFeedback:
     @cached_property
     def gains(self) -> Gains:
         """Gains for every period."""
-        return gains_of(self._scene, self._reference, self._settings)
+        return gains_of(self._scene, self._reference, self._reference.period, self._settings)
 
     def torque(self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray) -> np.ndarray:
         """Torques (nu,) at ``t`` s, see `TorqueController`."""
         k, reference, rows = round(t / self._reference.period), self._reference, self._rows
         error = pin.difference(self._scene.robot.model, q, reference.q[k])[rows]
-        torque = reference.torque[k].copy()
+        torque = reference.drive_torque[k].copy()
         torque[: len(rows)] += self.gains.kp[k] * error + self.gains.kd[k] * (reference.v[k] - v)[rows]
         return torque
 
 
-def gains_of(scene: Scene, reference: ReferenceTrajectory, settings: SimulationSettings) -> Gains:
-    """Gains for every period of a reference."""
-    picked = np.arange(0, len(reference.t), EVERY)
-    rows = scene.rows
-    matrices = _inertias(scene, reference, picked)
+def gains_of(scene: Scene, motion: SampledMotion, period: float, settings: SimulationSettings) -> Gains:
+    """Gains at every time of a motion, for feedback with a ``period`` in s."""
+    picked, rows = np.arange(0, len(motion.t), EVERY), scene.rows
+    matrices = _inertias(scene, motion.at(picked))
     inertia = np.diagonal(matrices, axis1=1, axis2=2)[:, rows]
     rate = 1.0 / (FEEDBACK_TIME * scene.units.time)
-    kp = np.maximum(rate**2 * inertia, _holding(scene, reference.active[picked]))
+    kp = np.maximum(rate**2 * inertia, _holding(scene, motion.active[picked]))
     kd = 2 * np.sqrt(kp * inertia)
-    response = np.linalg.inv(matrices)[:, rows[:, None], rows] * kd[:, None, :] * reference.period
+    response = np.linalg.inv(matrices)[:, rows[:, None], rows] * kd[:, None, :] * period
     fastest = np.abs(np.linalg.eigvals(response)).max(axis=1, initial=0.0)
     weaker = np.minimum(1.0, FASTEST / np.maximum(fastest, FASTEST))[:, None]
-    spread = np.arange(len(reference.t)) // EVERY
+    spread = np.arange(len(motion.t)) // EVERY
     return Gains(kp=settings.kp * (weaker * kp)[spread], kd=settings.kd * (weaker * kd)[spread])
 
 
-def _inertias(scene: Scene, reference: ReferenceTrajectory, picked: np.ndarray) -> np.ndarray:
-    """Mass matrices (n, nv, nv) of the picked periods, with payloads, in MuJoCo's coordinates."""
+def _inertias(scene: Scene, motion: SampledMotion) -> np.ndarray:
+    """Mass matrices (n, nv, nv) along a motion, with payloads, in MuJoCo's coordinates."""
     mujoco, model = mujoco_package(), copy.copy(scene.compiled)
-    data, matrices = mujoco.MjData(model), np.zeros((len(picked), model.nv, model.nv))
-    phases, carried = reference.source[picked], -1
-    for qpos, phase, matrix in zip(
-        scene.coordinates.to_mujoco(reference.q[picked]), phases, matrices, strict=True
-    ):
+    data, matrices = mujoco.MjData(model), np.zeros((len(motion.t), model.nv, model.nv))
+    every, carried = scene.coordinates.to_mujoco(motion.q), -1
+    for qpos, phase, matrix in zip(every, motion.source, matrices, strict=True):
         if phase != carried:  # the masses of the plan: the feedback does not know others
             write_inertias(model, scene.site.models[int(phase)])
             carried = phase

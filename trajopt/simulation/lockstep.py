@@ -14,28 +14,26 @@ from typing import Any
 import numpy as np
 
 from trajopt.arguments import Positive, checked
-from trajopt.control.inverse_dynamics import RELAXED
 from trajopt.control.mpc.commands import STAND, Command, CommandScript
 from trajopt.control.mpc.controller import Controller
 from trajopt.control.mpc.receding import ControllerSettings
 from trajopt.control.reference import ContactTimeline
 from trajopt.errors import InputError, not_among
-from trajopt.motion.solution import Solution
 from trajopt.robot.robot import Robot
 from trajopt.schedule.gaits import gait_names
+from trajopt.simulation.clock import lockstep
 from trajopt.simulation.drive_report import DriveReport, command_errors, plan_figures
 from trajopt.simulation.driven_scene import DrivenScene
-from trajopt.simulation.figures import Fall, base_poses
 from trajopt.simulation.record import SimulationRecord
+from trajopt.simulation.report import relaxed_ticks
 from trajopt.simulation.scene import Scene
 from trajopt.simulation.settings import Impulse, SimulationSettings
-from trajopt.simulation.simulated import simulated_solution
+from trajopt.simulation.simulated import SimulatedMotion
+from trajopt.simulation.site import base_poses
 from trajopt.terrain.piecewise import PiecewiseTerrain
 
 # Time that a drive lasts after its last command, s.
 LAST = 2.0
-# Interval between tests for a fall, s.
-STRETCH = 0.1
 # Settings of the simulation that a drive accepts.
 HARDWARE = (
     *("timestep", "control_rate", "friction_scale", "mass_scale", "com_offset", "ground_offsets", "rolling"),
@@ -44,27 +42,16 @@ HARDWARE = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class DrivenMotion:
+class DrivenMotion(SimulatedMotion):
     """A drive of a robot on legs.
 
     Args:
-        robot: the robot.
         script: the commands.
         controller: the controller after the drive.
-        settings: settings of the simulation.
-        scene: the simulated scene.
-        timeline: the ticks.
-        record: the record.
-        report: the report.
     """
 
-    robot: Robot
     script: CommandScript
     controller: Controller
-    settings: SimulationSettings
-    scene: Scene
-    timeline: ContactTimeline
-    record: SimulationRecord
     report: DriveReport
 
     @classmethod
@@ -72,26 +59,25 @@ class DrivenMotion:
         cls, driven: DrivenScene, steering: Steering, script: CommandScript, timeline: ContactTimeline
     ) -> DrivenMotion:
         """The record of a simulation, in which ``steering`` followed a script; ``timeline`` has its ticks."""
-        record = driven.recorded()
+        record, controller, period = driven.recorded(), steering.controller, timeline.period
+        periods = {name: whole for name, (_, whole) in controller.clock.gaits.items()}
         velocity = base_velocity(driven.scene, record)
-        return cls(
-            robot=driven.robot,
+        rolling = {STAND: min(periods.values())} if controller.rolling else {}
+        means, values = command_errors(script, velocity, period, periods | rolling)
+        steps = record.qpos[:: max(1, round(min(periods.values()) / period)), :2]
+        report = DriveReport(
+            **plan_figures(controller, record, period, driven.fall),
+            duration=len(timeline.t) * period,
+            distance=float(np.linalg.norm(np.diff(steps, axis=0), axis=1).sum()),
+            mean_errors=means,
+            errors=values,
+            relaxed=relaxed_ticks(controller.follower.relaxed),
+            slack=steering.slack,
+            gaits=periods,
             script=script,
-            controller=steering.controller,
-            settings=driven.settings,
-            scene=driven.scene,
-            timeline=timeline,
-            record=record,
-            report=_report(steering, script, timeline, record, driven.fall, velocity),
         )
-
-    def as_solution(self) -> Solution:
-        """The motion as a solution of the same model; ``statistics.simulated`` is true."""
-        return self._solution
-
-    @cached_property
-    def _solution(self) -> Solution:
-        return simulated_solution(self.scene, self.timeline, self.record, self.report)
+        seen = driven.motion_fields(timeline, record)
+        return cls(**seen, script=script, controller=controller, report=report)
 
     @property
     def commanded(self) -> np.ndarray:
@@ -134,8 +120,8 @@ def drive(
         hardware: fields of `SimulationSettings` among `HARDWARE`; feet with a radius roll by default.
 
     Raises:
-        InputError: for a robot without a free base or feet, a gait that it does not have, and settings that
-            are not allowed.
+        InputError: for a robot without a free base or feet, a gait that it does not have, a command that is
+            not `Controller.possible`, and settings that are not allowed.
     """
     unknown = [name for name in hardware if name not in HARDWARE]
     if unknown:
@@ -162,10 +148,10 @@ def drive(
         if name not in names:
             raise not_among(names, name, f"gait '{name}' of the script is not among those of the drive")
     steering = Steering(controller or Controller(robot, names, settings), script.at)
+    for command in script.commands:
+        steering.controller.possible(command)
     driven.begin(steering, lambda t: script.at(t).height)
-    count, stretch = len(driven.timeline.t), max(1, round(STRETCH / driven.timeline.period))
-    while driven.row < count and driven.fall is None:
-        driven.advance(min(stretch, count - driven.row))
+    driven.simulate(lockstep)
     return DrivenMotion.of(driven, steering, script, driven.timeline)
 
 
@@ -201,28 +187,3 @@ def base_velocity(scene: Scene, record: SimulationRecord) -> np.ndarray:
     left = np.column_stack([-ahead[:, 1], ahead[:, 0]])
     along = [np.sum(direction * linear[:, :2], axis=1) for direction in (ahead, left)]
     return np.column_stack([*along, spin[:, 2]])
-
-
-def _report(
-    steering: Steering,
-    script: CommandScript,
-    timeline: ContactTimeline,
-    record: SimulationRecord,
-    fall: Fall | None,
-    velocity: np.ndarray,
-) -> DriveReport:
-    controller, relaxed = steering.controller, steering.controller.follower.relaxed
-    periods = {name: period for name, (_, period) in controller.clock.gaits.items()}
-    means, values = command_errors(script, velocity, timeline.period, periods)
-    steps = record.qpos[:: max(1, round(min(periods.values()) / timeline.period)), :2]
-    return DriveReport(
-        **plan_figures(controller, record, timeline.period, fall),
-        duration=len(timeline.t) * timeline.period,
-        distance=float(np.linalg.norm(np.diff(steps, axis=0), axis=1).sum()),
-        mean_errors=means,
-        errors=values,
-        relaxed={name: count for name, count in zip(RELAXED, relaxed, strict=True) if count},
-        slack=steering.slack,
-        gaits=periods,
-        script=script,
-    )

@@ -11,17 +11,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
-from typing import Any
+from functools import partial
+from typing import ClassVar
 
 import numpy as np
+from typing_extensions import override
 
 from trajopt.arguments import NonNegative, Positive, PositiveCount, checked
+from trajopt.certify.figures import FigureReport, MeasuredFigure, compared
 from trajopt.control.reference import ReferenceTrajectory, reference_of
-from trajopt.dynamics.base_joint import base_of
 from trajopt.errors import InputError
 from trajopt.motion.input import SolutionOrFile, require_motion, solution_of
-from trajopt.motion.meta import jsonable
 from trajopt.motion.solution import Solution
 from trajopt.robot.mujoco_package import muted_mujoco
 from trajopt.simulation.events import LEAST_LEVEL
@@ -47,7 +47,7 @@ NAMES = {0.0: "forward", 90.0: "left", 180.0: "backward", 270.0: "right"}
 
 
 @dataclass(frozen=True, kw_only=True)
-class PushReport:
+class PushReport(FigureReport):
     """Largest impulses that a plan survives.
 
     Args:
@@ -61,6 +61,8 @@ class PushReport:
         impulses: (n,) N s by controller; zero where even the smallest push, or none, makes it fall.
         notes: further remarks.
     """
+
+    DERIVED: ClassVar[tuple[str, ...]] = ("natural", "ratios")
 
     problem: str
     robot: str
@@ -80,30 +82,43 @@ class PushReport:
         pairs = zip(*(self.impulses.get(name, ()) for name in CONTROLLERS), strict=False)
         return tuple(whole / joints if joints else math.nan for joints, whole in pairs)
 
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-able figures; ``natural`` has the impulses in natural units."""
-        natural = {name: [size / self.unit for size in row] for name, row in self.impulses.items()}
-        figures = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        ratios = [None if math.isnan(ratio) else ratio for ratio in self.ratios]
-        return jsonable({**figures, "natural": natural, "ratios": ratios})
+    @property
+    def natural(self) -> dict[Controller, list[float]]:
+        """Impulses in natural units."""
+        return {name: [size / self.unit for size in sizes] for name, sizes in self.impulses.items()}
 
+    @property
+    def columns(self) -> dict[str, list[MeasuredFigure]]:
+        """Figures by controller, one for each direction, and their ratios."""
+        columns: dict[str, list[MeasuredFigure]] = {
+            name: [
+                MeasuredFigure(
+                    text=f"{name}, {angle:g} degrees",
+                    value=size,
+                    unit="N s",
+                    natural=size / self.unit,
+                    open_ended=size >= self.most,
+                )
+                for angle, size in zip(self.directions, sizes, strict=True)
+            ]
+            for name, sizes in self.impulses.items()
+        }
+        ratios = [MeasuredFigure(text="ratio", value=ratio) for ratio in self.ratios]
+        return {**columns, "ratio": ratios} if ratios else columns
+
+    @override
+    def figures(self) -> list[MeasuredFigure]:
+        return [each for column in self.columns.values() for each in column]
+
+    @override
     def table(self) -> str:
         """One line per direction: impulses in N s and in natural units, and their ratio."""
-        lines = [
+        head = (
             f"push at {self.time:.3f} s for {1e3 * self.duration:.0f} ms, {self.after:.2f} s simulated from "
-            f"it; largest impulse survived, N s (over weight * sqrt(l / g) = {self.unit:.3g} N s)",
-            f"{'direction':16}" + "".join(f"{name:>19}" for name in self.impulses)
-            + ("   ratio" if self.ratios else ""),
-        ]  # fmt: skip
-        for row, angle in enumerate(self.directions):
-            cells = "".join(f"{self._cell(sizes[row]):>19}" for sizes in self.impulses.values())
-            ratio = f"{self.ratios[row]:8.2f}" if self.ratios else ""
-            lines.append(f"{f'{angle:g} {NAMES.get(angle, str())}':16}{cells}{ratio.replace('nan', '  -')}")
-        return "\n".join([*lines, *(f"note: {note}" for note in self.notes)])
-
-    def _cell(self, size: float) -> str:
-        bound = ">= " if size >= self.most else ""
-        return f"{bound}{size:.3g} ({size / self.unit:.3f})"
+            f"it; largest impulse survived, N s (over weight * sqrt(l / g) = {self.unit:.3g} N s)"
+        )
+        rows = [f"{angle:g} {NAMES.get(angle, '')}" for angle in self.directions]
+        return "\n".join([head, *compared(rows, self.columns), *(f"note: {note}" for note in self.notes)])
 
 
 @checked
@@ -136,7 +151,7 @@ def largest_pushes(
             is vertical, other than two directions in a plane, or a plan that cannot be simulated.
     """
     plan = require_motion(solution_of(solution))
-    kind, wanted = base_of(plan.model), tuple(dict.fromkeys(controllers))
+    kind, wanted = plan.base, tuple(dict.fromkeys(controllers))
     if kind == "fixed":
         raise InputError("a push on the base, which is fixed", "allowed: robots with a moving base")
     if not wanted:
@@ -196,7 +211,6 @@ class PushTrials:
     begin, end: period of the push, and one past the last period that is simulated.
     """
 
-    plan: Solution
     reference: ReferenceTrajectory
     scene: Scene
     cycles: int
@@ -226,7 +240,7 @@ class PushTrials:
                 f"allowed: 0 to {last * reference.period:g} s",
             )
         end = min(len(reference.t), begin + math.ceil(follows / reference.period))
-        return cls(plan=plan, reference=reference, scene=scene, cycles=cycles, begin=begin, end=end)
+        return cls(reference=reference, scene=scene, cycles=cycles, begin=begin, end=end)
 
     @property
     def unit(self) -> float:
@@ -250,7 +264,7 @@ class PushTrials:
         Raises `InputError` if the base's forward axis is vertical then.
         """
         settings = SimulationSettings(controller=controller, cycles=self.cycles)
-        run = plan_run(self.plan, self.scene, self.reference, settings)
+        run = plan_run(self.scene, self.reference, settings)
         record = run.start()
         standing = run.advance(record, 0, self.begin) == self.begin
         if standing and float(np.linalg.norm(run.events.forward(run.data))) < LEAST_LEVEL:
@@ -279,11 +293,7 @@ class PushTrials:
 
         return survives
 
-    @cached_property
-    def _test(self) -> FallTest:
-        return FallTest.of_plan(self.scene, self.plan)
-
     def _falls(self, record: SimulationRecord, first: int, last: int) -> bool:
         """Whether the robot falls in the periods from ``first`` to before ``last``."""
         rows = slice(first, last)
-        return self._test.first(record, self.reference, rows, self.reference.q[rows]) is not None
+        return FallTest(self.scene).first(record, self.reference, rows, self.reference.q[rows]) is not None

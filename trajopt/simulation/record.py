@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from trajopt.control.tick_request import TickCounts, TickRequest
-from trajopt.motion.arrays import rows_of
+from trajopt.motion.consistency import rows_of
 
 
 @dataclass(frozen=True, kw_only=True)

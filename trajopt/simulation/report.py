@@ -1,19 +1,72 @@
-"""The report of a simulation: figures, their thresholds, and their text."""
+"""Reports of simulated motions: falls and their figures; those of a simulated plan, with their limits."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
+from typing_extensions import override
 
+from trajopt.certify.figures import FigureReport, figure
 from trajopt.control.inverse_dynamics import RELAXED
 from trajopt.control.tick_request import TickCounts
-from trajopt.motion.meta import jsonable
+from trajopt.simulation.figures import Fall
 
 # A plan is tracked if its base ends within this fraction of the reach and within this angle, rad; on a fixed
 # base, if no joint error ever exceeds the last, rad or m.
 BASE_PASSED, TURN_PASSED, JOINT_PASSED = 0.05, 0.2, 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionReport(FigureReport):
+    """Whether a simulated robot fell.
+
+    Args:
+        robot: its name.
+        fell: whether it fell, the simulation diverged or the controller failed.
+        fall_time: s.
+        fall_reason: in words.
+    """
+
+    DERIVED: ClassVar[tuple[str, ...]] = ("passed",)
+    # Words for success, for a fall, and before failures.
+    WORDS: ClassVar[tuple[str, str, str]] = ("it did not fall", "it fell", "")
+
+    robot: str
+    fell: bool
+    fall_time: float | None
+    fall_reason: str
+
+    @staticmethod
+    def of_fall(fall: Fall | None) -> dict[str, Any]:
+        """The fields of a fall, or of none."""
+        time, why = (None, "") if fall is None else (fall.time, fall.why)
+        return {"fell": fall is not None, "fall_time": time, "fall_reason": why}
+
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """What is not as required, in words."""
+        fall = [f"{self.WORDS[1]} at {self.fall_time:.3f} s: {self.fall_reason}"] if self.fell else []
+        return (
+            *fall,
+            *(
+                f"{each.text} {each.value:.4g} {each.unit} > {each.limit:.4g} {each.unit}"
+                for each in self.figures()
+                if each.beyond
+            ),
+        )
+
+    @property
+    def passed(self) -> bool:
+        """Whether the robot did not fall, and all judged figures are within their limits."""
+        return not self.failures
+
+    @override
+    def table(self) -> str:
+        failures, (good, _, bad) = "; ".join(self.failures), self.WORDS
+        return f"{super().table()}\n{bad + failures if failures else good}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,12 +87,12 @@ class TickReport:
     largest violation of a relaxed row, see `trajopt.control.inverse_dynamics.TickResult`.
     """
 
-    ticks: int
+    ticks: int = figure("")
     iterations: int
-    time_mean: float
-    time_99: float
-    relaxed: dict[str, int]
-    slack: float
+    time_mean: float = figure("mean time", "ms", scale=1e3)
+    time_99: float = figure("99 % of times", "ms", scale=1e3)
+    relaxed: dict[str, int] = figure("by relaxation")
+    slack: float = figure("slack", "natural")
 
     @classmethod
     def of(cls, counts: TickCounts) -> TickReport:
@@ -50,24 +103,34 @@ class TickReport:
             iterations=counts.iterations,
             time_mean=float(times.mean()),
             time_99=float(np.percentile(times, 99)),
-            relaxed={name: count for name, count in zip(RELAXED, counts.relaxed, strict=True) if count},
+            relaxed=relaxed_ticks(counts.relaxed),
             slack=counts.slack,
         )
 
-    def __str__(self) -> str:
-        relaxations = [f"{what} in {count}" for what, count in self.relaxed.items() if what != RELAXED[0]]
-        times = f"{1e3 * self.time_mean:.2f} ms in the mean, {1e3 * self.time_99:.2f} ms at 99 %"
-        relaxed = f"relaxed: {', '.join(relaxations) or RELAXED[0]}, slack {self.slack:.2g} in natural units"
-        return f"{self.ticks}, {times}; {relaxed}"
+
+def relaxed_ticks(counts: Sequence[int]) -> dict[str, int]:
+    """Numbers of ticks by what they relaxed, from those in the order of `RELAXED`."""
+    return {name: count for name, count in zip(RELAXED, counts, strict=True) if count}
+
+
+def _near(report: SimulationReport) -> float:
+    return BASE_PASSED * report.reach
+
+
+def _near_joints(report: SimulationReport) -> float | None:
+    return JOINT_PASSED if report.base_error_end is None else None
+
+
+def _touches(report: SimulationReport) -> bool:
+    return bool(report.contacts)
 
 
 @dataclass(frozen=True, kw_only=True)
-class SimulationReport:
+class SimulationReport(MotionReport):
     """Figures of a simulation; base and joint errors are over the plan, without the hold after it.
 
     Args:
         reach, duration, held: m; s of the plan, and of the hold after it.
-        fell, fall_time, fall_reason: within both; the time in s.
         base_error_*, base_turn_*: m and rad, None on a fixed base; base_error_held: after the hold.
         joint_error_*: rad or m. saturated: fraction of torques that were clipped.
         touchdown_error, missed, swing_load: largest, s; touchdowns that never came; load in mid-swing, s.
@@ -76,100 +139,37 @@ class SimulationReport:
         controller: quadratic programs of a whole-body controller.
     """
 
+    DERIVED: ClassVar[tuple[str, ...]] = ("passed", "failures")
+    WORDS: ClassVar[tuple[str, str, str]] = ("tracked", "it fell", "not tracked: ")
+
     problem: str
-    robot: str
     reach: float
-    duration: float
-    held: float
+    duration: float = figure("simulated", "s")
+    held: float = figure("held after it", "s")
     timestep: float
     feedback_rate: float
-    fell: bool
-    fall_time: float | None
-    fall_reason: str
-    base_error_end: float | None
-    base_error_max: float | None
+    base_error_end: float | None = figure("base error at the end", "m", limit=_near)
+    base_turn_end: float | None = figure("base turned at the end by", "rad", limit=lambda _: TURN_PASSED)
+    base_error_held: float | None = figure("base error after the hold", "m", limit=_near)
+    base_error_max: float | None = figure("base error, largest", "m")
     base_error_rms: float | None
-    base_error_held: float | None
-    base_turn_end: float | None
-    base_turn_max: float | None
+    base_turn_max: float | None = figure("base turned by, largest", "rad")
     joint_error_end: float
-    joint_error_max: float
-    joint_error_rms: float
-    saturated: float
-    touchdown_error: float | None
-    missed: int
-    swing_load: float
-    slips: int
-    slip_travel: float | None
-    force_error: float | None
+    joint_error_rms: float = figure("joint error, rms", "rad")
+    joint_error_max: float = figure("joint error", "rad", limit=_near_joints)
+    saturated: float = figure("torques cut off", "%", scale=100.0)
+    force_error: float | None = figure("contact forces off, rms", "% of weight", scale=100.0)
+    touchdown_error: float | None = figure("touchdowns, largest error", "ms", scale=1e3)
+    missed: int = figure("touchdowns that never came", applies=_touches)
+    swing_load: float = figure("load in mid swing", "ms", scale=1e3, applies=_touches)
+    slips: int = figure("slips", applies=_touches)
+    slip_travel: float | None = figure("slips, largest travel", "mm", scale=1e3)
     obstacle_hit: bool
     contacts: tuple[ContactReport, ...]
-    controller: TickReport | None
+    controller: TickReport | None = figure("ticks")
     notes: tuple[str, ...]
 
     @property
+    @override
     def failures(self) -> tuple[str, ...]:
-        """Exceeded thresholds, in words; empty for a plan that is tracked."""
-        failures = [f"it fell at {self.fall_time:.3f} s: {self.fall_reason}"] if self.fell else []
-        for name, value, threshold, unit in self._judged():
-            if value is not None and not value <= threshold:
-                failures.append(f"{name} {value:.4g} {unit} > {threshold:.4g} {unit}")
-        return tuple(failures + (["it touched an obstacle"] if self.obstacle_hit else []))
-
-    def _judged(self) -> tuple[tuple[str, float | None, float, str], ...]:
-        if self.base_error_end is None:
-            return (("joint error", self.joint_error_max, JOINT_PASSED, "rad"),)
-        return (
-            ("base error at the end", self.base_error_end, BASE_PASSED * self.reach, "m"),
-            ("base turned at the end by", self.base_turn_end, TURN_PASSED, "rad"),
-            ("base error after the hold", self.base_error_held, BASE_PASSED * self.reach, "m"),
-        )
-
-    @property
-    def passed(self) -> bool:
-        """Whether the plan is tracked: no fall, no obstacle touched, errors within the thresholds."""
-        return not self.failures
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-able figures."""
-        return jsonable({"passed": self.passed, "failures": self.failures, **asdict(self)})
-
-    def table(self) -> str:
-        """Human-readable figures, one per line."""
-        lines = [
-            ("simulated", f"{self.duration:.3f} s" + (f", held {self.held:.3f} s" if self.held else "")),
-            ("base at the end", _pair(self.base_error_end, self.base_turn_end)),
-            ("base, largest", _pair(self.base_error_max, self.base_turn_max)),
-            ("base after the hold", _length(self.base_error_held) if self.held else "-"),
-            ("joints, rms / largest", f"{self.joint_error_rms:.2e} / {self.joint_error_max:.2e} rad"),
-            ("torques cut off", f"{100 * self.saturated:.2f} %"),
-            ("contact forces off, rms", _part(self.force_error)),
-            ("touchdowns, largest error", _time(self.touchdown_error)),
-            ("touchdowns that never came", str(self.missed)),
-            ("load in mid swing", _time(self.swing_load)),
-            ("slips, largest travel", f"{self.slips}, {_length(self.slip_travel)}"),
-            ("ticks of the controller", "-" if self.controller is None else str(self.controller)),
-        ]
-        moving = self.base_error_end is not None
-        unused: tuple[str, ...] = () if moving else ("base", "load")
-        unused += () if self.contacts else ("contact", "touchdowns", "slips", "load")
-        shown = [line for line in lines if not line[0].startswith(unused)] if unused else lines
-        text = [f"{name:27} {value}" for name, value in shown if value != "-"]
-        text += [f"note: {note}" for note in self.notes]
-        return "\n".join([*text, "tracked" if self.passed else "not tracked: " + "; ".join(self.failures)])
-
-
-def _length(value: float | None) -> str:
-    return "-" if value is None else f"{1e3 * value:.1f} mm"
-
-
-def _time(value: float | None) -> str:
-    return "-" if value is None else f"{1e3 * value:.1f} ms"
-
-
-def _part(value: float | None) -> str:
-    return "-" if value is None else f"{100 * value:.1f} % of the weight"
-
-
-def _pair(length: float | None, angle: float | None) -> str:
-    return "-" if length is None or angle is None else f"{1e3 * length:.1f} mm, {angle:.2e} rad"
+        return super().failures + (("it touched an obstacle",) if self.obstacle_hit else ())

@@ -1,4 +1,4 @@
-"""The simulation itself: a scene, a controller and events give a record, tick by tick.
+"""The simulation itself: a scene, a controller and events produce a record, tick by tick.
 
 At the start of each tick the controller returns torques for the measured state. They are clipped at the
 limits of the drives, and act for the whole period. Sensors and drives may be those of real hardware.
@@ -17,11 +17,10 @@ from trajopt.control.reference import ContactTimeline
 from trajopt.control.tracker import Tracker
 from trajopt.errors import InputError
 from trajopt.robot.mujoco_package import mujoco_package
-from trajopt.simulation.controllers import TorqueController
 from trajopt.simulation.events import Events
 from trajopt.simulation.record import RequestRecord, SimulationRecord
 from trajopt.simulation.scene import Scene
-from trajopt.simulation.settings import SimulationSettings
+from trajopt.simulation.settings import SimulationSettings, TorqueController
 
 # Most physics steps of one simulation: minutes.
 MOST_STEPS = 20_000_000

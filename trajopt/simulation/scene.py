@@ -13,7 +13,6 @@ from trajopt.robot.mujoco_package import mujoco_package
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.simulation.bodies import (
     Bodies,
-    add_geom,
     body_name,
     build_bodies,
     compile_bodies,
@@ -24,6 +23,7 @@ from trajopt.simulation.coordinates import CoordinateMap
 from trajopt.simulation.ground import (
     GroundGeometry,
     Surroundings,
+    add_geom,
     add_ground,
     add_obstacles,
     add_shape,

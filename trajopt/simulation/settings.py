@@ -2,14 +2,15 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, Protocol, runtime_checkable
+
+import numpy as np
 
 from trajopt.arguments import Count, NonNegative, Positive, PositiveCount, checked
 from trajopt.control.gains import TrackerGains
 from trajopt.control.quadratic_programs import QpSolverName
-from trajopt.errors import InputError, shown
+from trajopt.errors import InputError, numbers_of, shown
 from trajopt.kinds import Range
-from trajopt.simulation.controllers import TorqueController, name_of
 
 # Fractions of the robot's natural time sqrt(l / g), with its reach l: step of the simulation, time in which a
 # contact pushes out a penetration, and time in which feedback removes an error of a joint.
@@ -27,6 +28,38 @@ _Offset = Annotated[float, Range(-FARTHEST, FARTHEST)]
 
 # Feedback of single joints, or a quadratic program for the whole body at each tick (`trajopt.control`).
 Controller = Literal["joints", "whole-body"]
+
+
+@runtime_checkable
+class TorqueController(Protocol):
+    """Interface of the controllers that a simulation asks for torques; `Tracker` is one."""
+
+    def torque(self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray) -> np.ndarray:
+        """Torques (nu,) of the drives, N m or N; arguments as in `Tracker.torque`."""
+        ...
+
+
+def name_of(controller: object) -> str:
+    """Name of a controller in messages: its keyword or its class."""
+    return f"'{controller}'" if isinstance(controller, str) else type(controller).__name__
+
+
+class GivenController:
+    """A user's controller, whose torques (nu,) are checked, and which cannot change the simulated state."""
+
+    def __init__(self, controller: TorqueController, nu: int) -> None:
+        self._controller, self._nu = controller, nu
+
+    def torque(self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray) -> np.ndarray:
+        """Torques (nu,) of the controller. Raises `InputError` if they are invalid."""
+        torque = numbers_of(self._controller.torque(t, q, v, np.array(touching, dtype=bool)))
+        if torque.shape != (self._nu,) or not np.isfinite(torque).all():
+            what = "are not finite" if torque.shape == (self._nu,) else f"have shape {torque.shape}"
+            raise InputError(
+                f"torques of {name_of(self._controller)} at {t:g} s {what}",
+                f"allowed: ({self._nu},), finite, N m or N",
+            )
+        return torque
 
 
 @checked
@@ -47,6 +80,20 @@ class Impulse:
     duration: Positive
 
 
+@runtime_checkable
+class Event(Protocol):
+    """Interface of a disturbance of your own, on MuJoCo's model and data."""
+
+    def apply(self, t: float, model: Any, data: Any) -> None:
+        """Called at the start of each tick, ``t`` s from the start, before the controller is asked.
+
+        The body that joint i of the Pinocchio model moves is called ``body<i>``. External forces
+        (``xfrc_applied``) and the friction of contact pairs are reset at the start of each tick to their
+        values without events; other changes stay.
+        """
+        ...
+
+
 @checked
 @dataclass(frozen=True, kw_only=True)
 class SimulationSettings:
@@ -64,10 +111,12 @@ class SimulationSettings:
         cycles: repetitions of a periodic plan.
         push: horizontal force on the base, N, to its left (planar: front) in the motion's middle tenth.
         rolling: whether contacts with a radius roll as balls or turn about their centres; None: as planned.
-        controller: see `Controller`; or an object with the method of `TorqueController`, such as a `Tracker`.
+        controller: "joints", "whole-body", or an object with the method of `TorqueController`, such as a
+            `Tracker`.
         gains: of the controller "whole-body"; None: the default ones.
         qp_solver: of the controller "whole-body".
         impulse: another push, of any direction and time, see `Impulse`; or several.
+        events: disturbances of your own, applied in this order, see `Event`.
         sensor_noise: standard deviation of the measured state at every tick, in the units of ``noise``.
         delay: whole ticks by which measured states and contacts are late.
         torque_step: torques are rounded to its multiples, N m (N for a sliding joint); 0 is off.
@@ -94,6 +143,7 @@ class SimulationSettings:
     gains: TrackerGains | None = None
     qp_solver: QpSolverName = "piqp"
     impulse: Impulse | Sequence[Impulse] | None = None
+    events: Sequence[Event] = ()
     sensor_noise: _Share = 0.0
     delay: Annotated[int, Range(0, 100)] = 0
     torque_step: _Gain = 0.0

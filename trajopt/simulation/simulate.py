@@ -3,7 +3,6 @@
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -19,37 +18,24 @@ from trajopt.motion.input import SolutionOrFile, require_motion, solution_of
 from trajopt.motion.solution import Solution
 from trajopt.robot.mujoco_package import muted_mujoco
 from trajopt.simulation import figures
-from trajopt.simulation.controllers import GivenController, TorqueController
 from trajopt.simulation.joint_feedback import JointFeedback
 from trajopt.simulation.record import SimulationRecord
 from trajopt.simulation.report import ContactReport, SimulationReport, TickReport
 from trajopt.simulation.run import SimulationRun, Start
 from trajopt.simulation.scene import Scene, build_scene
-from trajopt.simulation.settings import FEEDBACK_TIME, SimulationSettings
-from trajopt.simulation.simulated import simulated_solution
+from trajopt.simulation.settings import FEEDBACK_TIME, GivenController, SimulationSettings, TorqueController
+from trajopt.simulation.simulated import SimulatedMotion
 from trajopt.simulation.site import Site
 
 
 @dataclass(frozen=True, kw_only=True)
-class Simulation:
-    """A simulated plan: its report, and everything recorded. wall_time: of the physics, s."""
+class Simulation(SimulatedMotion):
+    """A simulated plan. timeline: the plan at the ticks. wall_time: of the physics, s."""
 
     plan: Solution
-    settings: SimulationSettings
-    reference: ReferenceTrajectory
-    scene: Scene
-    record: SimulationRecord
+    timeline: ReferenceTrajectory
     report: SimulationReport
     wall_time: float
-
-    def as_solution(self) -> Solution:
-        """The simulated motion as a solution of the same model; ``statistics.simulated`` is true."""
-        return self._solution
-
-    @cached_property
-    def _solution(self) -> Solution:
-        planned = self.plan.statistics
-        return simulated_solution(self.scene, self.reference, self.record, self.report, planned)
 
 
 @checked
@@ -79,46 +65,39 @@ def simulate(solution: SolutionOrFile, **settings: Any) -> Simulation:
         require_within(wanted, reference)
         scene = build_scene(Site.of_plan(plan), wanted)
         begin = time.perf_counter()
-        record = plan_run(plan, scene, reference, wanted).record()
+        record = plan_run(scene, reference, wanted).record()
         spent = time.perf_counter() - begin
     return Simulation(
         plan=plan,
         settings=wanted,
-        reference=reference,
+        timeline=reference,
         scene=scene,
         record=record,
-        report=_report(plan, reference, record, scene),
+        report=_report(reference, record, scene),
         wall_time=spent,
     )
 
 
-def plan_run(
-    plan: Solution, scene: Scene, reference: ReferenceTrajectory, settings: SimulationSettings
-) -> SimulationRun:
+def plan_run(scene: Scene, reference: ReferenceTrajectory, settings: SimulationSettings) -> SimulationRun:
     """The run of a plan from its start, under the controller of the settings. Raises `InputError`."""
-    controller = _controller(plan, scene, reference, settings)
-    start = Start(q=reference.q[0], v=reference.v[0], torque=reference.torque[0])
+    controller = _controller(scene, reference, settings)
+    start = Start(q=reference.q[0], v=reference.v[0], torque=reference.drive_torque[0])
     return SimulationRun(scene, reference, controller, start, settings)
 
 
 def _controller(
-    plan: Solution, scene: Scene, reference: ReferenceTrajectory, settings: SimulationSettings
+    scene: Scene, reference: ReferenceTrajectory, settings: SimulationSettings
 ) -> TorqueController:
     given = settings.controller
     if given == "joints":
         return JointFeedback(scene, reference, settings)
     if given == "whole-body":
-        return Tracker(
-            plan,
-            rate=settings.control_rate,
-            cycles=settings.cycles,
-            gains=settings.gains or TrackerGains(),
-            solver=settings.qp_solver,
-        )
+        gains = settings.gains or TrackerGains()
+        return Tracker.of_reference(reference, settings.control_rate, gains, settings.qp_solver)
     if not isinstance(given, Tracker):
         return GivenController(given, scene.robot.nu)
     ticks = len(given.reference.t), given.reference.period
-    if ticks != (len(reference.t), reference.period) or given.plan.model != plan.model:
+    if ticks != (len(reference.t), reference.period) or given.reference.model != reference.model:
         raise InputError(
             "the Tracker of a simulation is of another plan, or has other ticks",
             f"allowed: one of this plan, rate={settings.control_rate:g}, cycles={settings.cycles}",
@@ -156,25 +135,21 @@ def require_within(settings: SimulationSettings, timeline: ContactTimeline) -> N
             raise InputError(what, f"allowed: 0 to {last:g} s")
 
 
-def _report(
-    plan: Solution, reference: ReferenceTrajectory, record: SimulationRecord, scene: Scene
-) -> SimulationReport:
+def _report(reference: ReferenceTrajectory, record: SimulationRecord, scene: Scene) -> SimulationReport:
     errors = figures.tracking_errors(scene, reference, scene.coordinates.from_mujoco(record.qpos))
-    fall = figures.FallTest.of_plan(scene, plan).first(record, reference, slice(None), reference.q)
-    stances = figures.simulated_stances(plan, reference, record, scene)
-    moving, end = base_of(plan.model) != "fixed", min(reference.planned, len(record.feet))
+    fall = figures.FallTest(scene).first(record, reference, slice(None), reference.q)
+    stances = figures.simulated_stances(reference, record, scene)
+    moving, end = scene.robot.base != "fixed", min(reference.planned, len(record.feet))
     force = figures.force_error(reference, record)
     return SimulationReport(
-        problem=str(plan.description.problem),
-        robot=str(plan.description.robot),
+        problem=reference.problem,
+        robot=reference.robot,
         reach=scene.units.length,
         duration=reference.period * reference.planned,
         held=reference.period * reference.held,
         timestep=float(scene.compiled.opt.timestep),
         feedback_rate=1.0 / (FEEDBACK_TIME * scene.units.time),
-        fell=fall is not None,
-        fall_time=None if fall is None else fall.time,
-        fall_reason="" if fall is None else fall.why,
+        **SimulationReport.of_fall(fall),
         base_error_end=float(errors.base[end]) if moving else None,
         base_error_max=float(errors.base[: end + 1].max()) if moving else None,
         base_error_rms=float(np.sqrt((errors.base[: end + 1] ** 2).mean())) if moving else None,
@@ -189,18 +164,17 @@ def _report(
         force_error=None if force is None else force / scene.units.weight,
         obstacle_hit=bool(record.hit.any()),
         controller=None if record.counts is None else TickReport.of(record.counts),
-        notes=_notes(plan, scene),
-        **_contacts(plan, stances, scene),
+        notes=_notes(scene),
+        **_contacts(stances, scene),
     )
 
 
-def _contacts(plan: Solution, stances: tuple[figures.SimulatedStance, ...], scene: Scene) -> dict[str, Any]:
+def _contacts(stances: tuple[figures.SimulatedStance, ...], scene: Scene) -> dict[str, Any]:
     """Fields of the report on contacts."""
     times = [abs(stance.touchdown) for stance in stances if stance.touchdown is not None]
     travel = [stance.travel for stance in stances if stance.travel is not None]
-    by_contact = [
-        [stance for stance in stances if stance.contact == i] for i in range(len(plan.contact_frames))
-    ]
+    frames = scene.robot.description.frames
+    by_contact = [[stance for stance in stances if stance.contact == i] for i in range(len(frames))]
     return {
         "touchdown_error": max(times, default=None),
         "missed": sum(stance.missed for stance in stances),
@@ -213,21 +187,21 @@ def _contacts(plan: Solution, stances: tuple[figures.SimulatedStance, ...], scen
                 missed=sum(s.missed for s in rows),
                 travel=max((s.travel for s in rows if s.travel is not None), default=None),
             )
-            for frame, rows in zip(plan.contact_frames, by_contact, strict=True)
+            for frame, rows in zip(frames, by_contact, strict=True)
         ),
     }
 
 
-def _notes(plan: Solution, scene: Scene) -> tuple[str, ...]:
+def _notes(scene: Scene) -> tuple[str, ...]:
     """Notes on what the plan prescribes or idealises in the simulation."""
-    notes = []
+    about, notes = scene.robot.description, []
     for grasp in scene.site.grasps:
-        phases = plan.description.phase_names[grasp.phases[0] : grasp.phases[-1] + 1]
-        notes.append(f"{plan.contact_frames[grasp.contact]} is held as planned in {', '.join(phases)}")
-    for name, depth in scene.site.buried.items() if base_of(plan.model) != "fixed" else ():
+        phases = about.phase_names[grasp.phases[0] : grasp.phases[-1] + 1]
+        notes.append(f"{about.frames[grasp.contact]} is held as planned in {', '.join(phases)}")
+    for name, depth in scene.site.buried.items() if scene.robot.base != "fixed" else ():
         notes.append(f"the plan takes {name} {1e3 * max(depth, 0.0):.0f} mm into the ground")
-    if plan.description.payloads:
+    if about.payloads:
         notes.append("what is carried is part of the link that holds it while the plan carries it")
-    if plan.description.actuation != "torque":
-        notes.append(f"actuation by {plan.description.actuation}: the drives have no torque limits here")
+    if about.actuation != "torque":
+        notes.append(f"actuation by {about.actuation}: the drives have no torque limits here")
     return tuple(notes)

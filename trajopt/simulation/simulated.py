@@ -7,13 +7,14 @@ samples; an interval has one collocation point, at its middle.
 """
 
 import itertools
-from dataclasses import replace
-from typing import Any, Protocol
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from trajopt.control.reference import ContactTimeline
-from trajopt.motion.arrays import rows_of
+from trajopt.motion.consistency import rows_of
 from trajopt.motion.description import PlanDescription
 from trajopt.motion.solution import Solution
 from trajopt.motion.statistics import SolveStatistics
@@ -21,71 +22,71 @@ from trajopt.robot.actuators.joint_force import joint_force
 from trajopt.robot.mujoco_package import mujoco_package
 from trajopt.simulation.figures import loaded_contacts
 from trajopt.simulation.record import SimulationRecord
+from trajopt.simulation.report import MotionReport
 from trajopt.simulation.scene import Scene
+from trajopt.simulation.settings import SimulationSettings
 from trajopt.versions import VERSIONED, installed_version
 
 # Controller periods per interval: 4 ms by default, finer than a video frame.
 PERIODS = 4
 
 
-class MotionReport(Protocol):
-    """A report on a simulated motion, as a file stores it."""
-
-    @property
-    def passed(self) -> bool:
-        """Whether the motion is as required."""
-        ...
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-able figures."""
-        ...
-
-
-def simulated_solution(
-    scene: Scene,
-    timeline: ContactTimeline,
-    record: SimulationRecord,
-    report: MotionReport | None,
-    planned: SolveStatistics | None = None,
-) -> Solution:
-    """Convert a record to a solution of the scene's robot.
+@dataclass(frozen=True, kw_only=True)
+class SimulatedMotion:
+    """A simulated motion, with everything recorded.
 
     Args:
         scene: the simulated scene.
+        settings: settings of the simulation.
         timeline: the ticks of the record.
         record: the record.
         report: the report on the motion; None is no success.
-        planned: statistics of the plan that was executed, if any.
+        plan: the plan that was executed, if any.
     """
-    n, robot = len(record.feet), scene.robot
-    steps = round(n * timeline.period / scene.compiled.opt.timestep)
-    chunks = _chunks(timeline.phase[:n])
-    rows = np.array([[first, first + (end - first) // 2, end] for first, end in chunks]).ravel()
-    last = np.minimum(rows, n - 1)  # accelerations and forces are known at the starts of periods
-    q = scene.coordinates.from_mujoco(record.qpos)
-    v = scene.coordinates.rates_from_mujoco(record.qpos, record.qvel)
-    a = scene.coordinates.accelerations_from_mujoco(record.qpos[:n], record.qvel[:n], record.qacc)
-    t = np.append(timeline.t[:n], timeline.t[n - 1] + timeline.period)
-    phase = np.array([timeline.phase[first] for first, _ in chunks])
-    # MuJoCo's joint friction includes that of the joints themselves.
-    own = joint_force(robot.model, robot.description.joint_forces, q[last], v[last])
-    return Solution(
-        description=_description(scene, timeline, phase),
-        statistics=_statistics(report, steps, planned),
-        model=robot.model,
-        t=t[rows],
-        phase=np.repeat(phase, 3),
-        interval=np.repeat(np.arange(len(chunks)), 3),
-        collocation=np.tile([False, True, False], len(chunks)),
-        interval_t=t[np.array(chunks)],
-        q=q[rows],
-        v=v[rows],
-        a=a[last],
-        tau=(record.torque + record.friction)[last] - robot.actuation.inputs(own),
-        f=record.force[last],
-        active=np.repeat(_active(scene, timeline, record, chunks), 3, axis=0),
-        **_requests(record, last),
-    )
+
+    scene: Scene
+    settings: SimulationSettings
+    timeline: ContactTimeline
+    record: SimulationRecord
+    report: MotionReport | None = None
+    plan: Solution | None = None
+
+    def as_solution(self) -> Solution:
+        """The motion as a solution of the same model; ``statistics.simulated`` is true."""
+        return self._solution
+
+    @cached_property
+    def _solution(self) -> Solution:
+        scene, timeline, record = self.scene, self.timeline, self.record
+        n, robot = len(record.feet), scene.robot
+        steps = round(n * timeline.period / scene.compiled.opt.timestep)
+        chunks = _chunks(timeline.phase[:n])
+        rows = np.array([[first, first + (end - first) // 2, end] for first, end in chunks]).ravel()
+        last = np.minimum(rows, n - 1)  # accelerations and forces are known at the starts of periods
+        q = scene.coordinates.from_mujoco(record.qpos)
+        v = scene.coordinates.rates_from_mujoco(record.qpos, record.qvel)
+        a = scene.coordinates.accelerations_from_mujoco(record.qpos[:n], record.qvel[:n], record.qacc)
+        t = np.append(timeline.t[:n], timeline.t[n - 1] + timeline.period)
+        phase = np.array([timeline.phase[first] for first, _ in chunks])
+        # MuJoCo's joint friction includes that of the joints themselves.
+        own = joint_force(robot.model, robot.description.joint_forces, q[last], v[last])
+        return Solution(
+            description=_description(scene, timeline, phase),
+            statistics=_statistics(self.report, steps, self.plan),
+            model=robot.model,
+            t=t[rows],
+            phase=np.repeat(phase, 3),
+            interval=np.repeat(np.arange(len(chunks)), 3),
+            collocation=np.tile([False, True, False], len(chunks)),
+            interval_t=t[np.array(chunks)],
+            q=q[rows],
+            v=v[rows],
+            a=a[last],
+            tau=(record.torque + record.friction)[last] - robot.actuation.inputs(own),
+            f=record.force[last],
+            active=np.repeat(_active(scene, timeline, record, chunks), 3, axis=0),
+            **_requests(record, last),
+        )
 
 
 def _requests(record: SimulationRecord, rows: np.ndarray) -> dict[str, np.ndarray]:
@@ -143,11 +144,11 @@ def _description(scene: Scene, timeline: ContactTimeline, phase: np.ndarray) -> 
     )
 
 
-def _statistics(report: MotionReport | None, steps: int, planned: SolveStatistics | None) -> SolveStatistics:
+def _statistics(report: MotionReport | None, steps: int, plan: Solution | None) -> SolveStatistics:
     versions = {name: installed_version(name) for name in VERSIONED}
     kept: dict[str, Any] = {"converged": True, "tolerance": 0.0, "wall_time_s": 0.0}
-    if planned is not None:
-        kept = {name: getattr(planned, name) for name in (*kept, "seed", "perturb", "more")}
+    if plan is not None:
+        kept = {name: getattr(plan.statistics, name) for name in (*kept, "seed", "perturb", "more")}
     return SolveStatistics(
         transcription="simulation",
         solver="mujoco",

@@ -11,18 +11,16 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.control.limits import torque_limits
-from trajopt.dynamics.base_joint import Base, base_of
-from trajopt.motion.carried import carrying_model
+from trajopt.dynamics.base_joint import BASE_JOINT, Base, base_of
 from trajopt.motion.cycles import image_of_contacts
 from trajopt.motion.description import PlanDescription
 from trajopt.motion.samples import ContactPlaces, contact_places
 from trajopt.motion.solution import Solution
-from trajopt.motion.touched import held_samples
+from trajopt.motion.touched import TouchedSurfaces, held_contacts, touched_surfaces
 from trajopt.robot.actuators.actuation import Actuation
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.natural_units import NaturalUnits
-from trajopt.terrain.piecewise import PiecewiseTerrain
-from trajopt.terrain.surface import Surface, frame_of_normal
+from trajopt.terrain.surface import Surface, by_plane, frame_of_normal
 
 # Radius of the balls of links and of contacts that do not roll, and margin around the motion, in reaches.
 BALL, AROUND = 1e-3, 2.0
@@ -123,6 +121,8 @@ class Site:
         sunk: names of links' shapes that the motion takes into the ground; they touch nothing.
         models: model of each phase, with its payloads.
         swings: whether each contact is in the air in each phase (phases, nc).
+        surfaces: surfaces that contacts touch at the start of each phase.
+        height: mean height of the base over the active contacts, m; zero without any.
     """
 
     robot: SceneRobot
@@ -135,6 +135,8 @@ class Site:
     sunk: frozenset[str]
     models: tuple[pin.Model, ...]
     swings: np.ndarray
+    surfaces: TouchedSurfaces
+    height: float
 
     @classmethod
     def of_plan(cls, plan: Solution) -> Site:
@@ -145,14 +147,16 @@ class Site:
             actuated_rows=plan.actuated_rows,
             actuation=plan.actuation,
         )
-        places, apart = contact_places(plan), _separate_surfaces(plan.description)
+        places, apart = contact_places(plan), plan.description.separate_surfaces
+        starts = [rows.start for rows in plan.phases]
         return cls(
             standing=_standing(plan, apart),
             boards=_boards(plan, apart, places.position),
             grasps=_grasps(plan, places),
-            models=tuple(carrying_model(plan, phase) for phase in range(len(plan.phases))),
-            swings=np.array([~plan.active[rows.start] for rows in plan.phases]),
-            **_around(robot, plan.q, places.position, 0.0),
+            models=tuple(plan.carrying_model(phase) for phase in range(len(plan.phases))),
+            swings=~plan.active[starts],
+            surfaces=touched_surfaces(plan.description, places.position[starts], plan.phase[starts]),
+            **_around(robot, plan.q, places.position, plan.active, 0.0),
         )
 
     @classmethod
@@ -160,12 +164,14 @@ class Site:
         """The site of a robot that begins at rest at q (nq,) on some contacts, and may go anywhere."""
         data, frames = robot.model.createData(), robot.description.frames
         pin.framesForwardKinematics(robot.model, data, q)
-        feet = np.array([data.oMf[robot.model.getFrameId(frame)].translation for frame in frames])
+        feet = np.array([[data.oMf[robot.model.getFrameId(frame)].translation for frame in frames]])
+        feet, active = feet.reshape(1, -1, 3), np.isin(np.arange(len(frames)), standing)[None]
         return cls(
             standing=tuple(standing),
             models=(robot.model,),
-            swings=~np.isin(np.arange(len(frames)), standing)[None],
-            **_around(robot, q[None], feet, np.inf),
+            swings=~active,
+            surfaces=touched_surfaces(robot.description, feet, np.zeros(1, dtype=int)),
+            **_around(robot, q[None], feet, active, np.inf),
         )
 
     @property
@@ -177,8 +183,10 @@ class Site:
         return held
 
 
-def _around(robot: SceneRobot, q: np.ndarray, feet: np.ndarray, beyond: float) -> dict[str, Any]:
-    """Fields of a site for configurations (n, nq) and contacts at ``feet`` (..., 3), m.
+def _around(
+    robot: SceneRobot, q: np.ndarray, feet: np.ndarray, active: np.ndarray, beyond: float
+) -> dict[str, Any]:
+    """Fields of a site for configurations (n, nq), with contacts (n, nc) at ``feet`` (n, nc, 3), m.
 
     The motion may leave them by ``beyond`` m along the ground.
     """
@@ -201,6 +209,7 @@ def _around(robot: SceneRobot, q: np.ndarray, feet: np.ndarray, beyond: float) -
             if low < ball
         },
         "sunk": _sunk(robot, q),
+        "height": mean_height(model, q, feet, active) if robot.base != "fixed" and active.any() else 0.0,
     }  # fmt: skip
 
 
@@ -220,19 +229,6 @@ def height_over(terrain: Any, points: np.ndarray) -> np.ndarray:
     if isinstance(terrain, Surface):
         return terrain.distance(points)
     return np.asarray(points[..., 2] - terrain.height(points[..., 0], points[..., 1]))
-
-
-def _separate_surfaces(description: PlanDescription) -> list[tuple[int, int, Surface]]:
-    """(phase, contact, surface) of single contacts that touch something other than the terrain."""
-    terrain, frames = description.ground, list(description.frames)
-    faces = terrain.faces if isinstance(terrain, PiecewiseTerrain) else ()
-    planes = [face.surface for face in faces] + ([terrain] if isinstance(terrain, Surface) else [])
-    return [
-        (phase, frames.index(frame), surface)
-        for phase, surfaces in enumerate(description.surfaces)
-        for frame, surface in surfaces.items()
-        if surface.bilateral or not any(surface.same_plane(plane) for plane in planes)
-    ]
 
 
 def _standing(plan: Solution, separate: Sequence[tuple[int, int, Surface]]) -> tuple[int, ...]:
@@ -255,22 +251,14 @@ def _boards(
     plan: Solution, separate: Sequence[tuple[int, int, Surface]], feet: np.ndarray
 ) -> tuple[Board, ...]:
     """Unilateral planes with their contacts, which are at ``feet`` (K, nc, 3), m, at the samples."""
-    groups: list[tuple[Surface, list[tuple[int, int]]]] = []
-    for phase, contact, surface in separate:
-        if surface.bilateral:
-            continue
-        same = [group for group in groups if group[0].same_plane(surface)]
-        if same:
-            same[0][1].append((phase, contact))
-        else:
-            groups.append((surface, [(phase, contact)]))
+    touches = [touch for touch in separate if not touch[2].bilateral]
     return tuple(
         Board(
-            surface=surface,
-            contacts=tuple(sorted({contact for _, contact in uses})),
-            points=np.concatenate([_under(plan, surface, feet, *use) for use in uses]),
+            surface=group[0][2],
+            contacts=tuple(sorted({contact for _, contact, _ in group})),
+            points=np.concatenate([_under(plan, group[0][2], feet, *touch[:2]) for touch in group]),
         )
-        for surface, uses in groups
+        for group in by_plane(touches, lambda touch: touch[2])
     )
 
 
@@ -288,7 +276,7 @@ def _under(plan: Solution, surface: Surface, feet: np.ndarray, phase: int, conta
 def _grasps(plan: Solution, places: ContactPlaces) -> tuple[Grasp, ...]:
     """A grasp for each run of phases in which a contact is held on a bilateral surface."""
     grasps: list[Grasp] = []
-    for contact, held in enumerate(held_samples(plan).T):
+    for contact, held in enumerate(held_contacts(plan.description, plan.phase).T):
         phases = [i for i, rows in enumerate(plan.phases) if held[rows.start]]
         runs = np.split(np.array(phases, dtype=int), np.flatnonzero(np.diff(phases) > 1) + 1)
         for run in (run for run in runs if len(run)):
@@ -304,3 +292,25 @@ def _grasps(plan: Solution, places: ContactPlaces) -> tuple[Grasp, ...]:
                 )
             )
     return tuple(grasps)
+
+
+def upwards(model: pin.Model) -> np.ndarray:
+    """Direction (3,) against gravity; zero without gravity."""
+    up = -np.array(model.gravity.linear)
+    return np.asarray(up / (np.linalg.norm(up) or 1.0))
+
+
+def base_poses(model: pin.Model, q: np.ndarray) -> np.ndarray:
+    """Rotation and position (n, 3, 4) of the base link in the scene."""
+    data, joint = model.createData(), BASE_JOINT[base_of(model)]
+    bases = np.zeros((len(q), 3, 4))
+    for row, configuration in enumerate(q):
+        pin.forwardKinematics(model, data, configuration)
+        bases[row, :, :3], bases[row, :, 3] = data.oMi[joint].rotation, data.oMi[joint].translation
+    return bases
+
+
+def mean_height(model: pin.Model, q: np.ndarray, feet: np.ndarray, active: np.ndarray) -> float:
+    """Mean height, m, of the base at q (K, nq) over the active of the contacts at ``feet`` (K, nc, 3)."""
+    over = (base_poses(model, q)[:, None, :, 3] - feet) @ upwards(model)
+    return max(float(over[active].mean()), 0.0)

@@ -1,3 +1,3 @@
-from .budget import solve_within as solve_within
 from .graded import solve_graded as solve_graded
+from .graded import solve_within as solve_within
 from .reference import converged_reference as converged_reference

@@ -5,12 +5,14 @@ see `refinement`.
 """
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from trajopt.arguments import check_settings, checked
+from trajopt.arguments import Positive, check_settings, checked
+from trajopt.certify.accuracy.measures import measure
 from trajopt.certify.report import GRADE, Tolerances
 from trajopt.errors import InputError, require_positive
 from trajopt.motion.grid import mesh_of
@@ -21,7 +23,7 @@ from trajopt.robot.natural_units import NaturalUnits
 from trajopt.robot.units import Units
 from trajopt.solving.exchange import Exchange
 from trajopt.solving.refinement import USUAL_SCHEME, Refinement
-from trajopt.solving.rounds import Graded, Round
+from trajopt.solving.rounds import Graded, Round, phase_errors
 from trajopt.solving.solving import solve as solve_on_mesh
 from trajopt.transcription.mesh import Mesh
 from trajopt.transcription.transcription import chosen_mesh
@@ -36,6 +38,11 @@ MOST_ROUNDS = 14
 # The solver's tolerance as a fraction of the accuracy over the robot's reach (the error grows along the
 # motion), with its smallest and largest value.
 TOLERANCE_SHARE, LEAST_TOLERANCE, USUAL_TOLERANCE = 1e-3, 1e-10, 1e-6
+# Target of the next round within a time budget, as a fraction of the last measured error.
+GAIN = 0.1
+# The next round is expected to take this many times as long as the last: a tenth of the error needs a third
+# more intervals at degree four, and phases that miss their target are split in two.
+GROWTH = 2.0
 
 
 def first_mesh(problem: Problem, least: bool = False) -> Mesh:
@@ -160,3 +167,54 @@ def solve_graded(
             mesh = mesh_of(start)
     loop = Refinement(problem, tolerances, refine, settings, known, accuracy, solver_time)
     return loop.result(loop.run(mesh or first_mesh(problem, accuracy is not None), start, first, max_rounds))
+
+
+@checked
+def solve_within(problem: Problem, budget: Positive, **settings: Any) -> Graded:
+    """Return the most accurate motion within the grade that the solver finds in a given time.
+
+    The first solve reaches the grade. Each further round refines the mesh for a tenth of the measured error,
+    as long as twice the solver time of the last round is left. Building and compiling do not count against
+    the budget.
+
+    Args:
+        problem: The problem to solve.
+        budget: Solver time, s.
+        **settings: Arguments of `trajopt.solving.solve_graded` except ``accuracy`` and ``max_time``.
+
+    Returns:
+        The motion with its measured error, all rounds, and the reason why they ended.
+
+    Raises:
+        InputError: As `trajopt.solve` does.
+    """
+    settings["solver_time"] = True
+    made = solve_graded(problem, max_time=budget, **settings)
+    if not made.solution.converged or problem.dynamics_kind == "own":
+        return made
+    accuracy, why = measure(made.solution), made.why
+    rounds = (*made.rounds[:-1], replace(made.rounds[-1], errors=phase_errors(accuracy)))
+    made = replace(made, accuracy=accuracy, rounds=rounds)
+    for name in ("start", "seed", "perturb", "exchange"):  # only the first solve uses these
+        settings.pop(name, None)
+    while made.solution.success and not made.interrupted:
+        left = budget - sum(one.wall_time for one in rounds)
+        if GROWTH * made.rounds[-1].wall_time > left:
+            why = "another round is not expected to fit into the time that is left"
+            break
+        finer = solve_graded(
+            problem,
+            **{**settings, "max_rounds": 2},
+            first=made.solution,
+            exchange=made.exchange,
+            accuracy=GAIN * made.error,
+            max_time=left + made.solution.statistics.wall_time_s,  # the given first round counts against it
+        )
+        rounds += finer.rounds[1:]
+        if not finer.solution.success or finer.error >= made.error:
+            why = finer.why
+            break
+        made = finer
+    made = replace(made, rounds=rounds, why=why, target=None)
+    graded = replace(made.statistics, error_m=made.error)
+    return replace(made, solution=made.solution.with_statistics(graded=graded))

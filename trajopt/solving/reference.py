@@ -207,7 +207,7 @@ class _Climb:
         while True:
             solution = self._solved(last)
             apart = compare(solution, last)
-            agreed = len(self.rungs) > 1 and agreement.holds(apart, NaturalUnits.of(solution.model))
+            agreed = len(self.rungs) > 1 and agreement.holds(apart, solution.units)
             self._record(solution, apart, other=not agreed and self._is_other(last, solution, apart))
             if agreed:
                 made = ConvergedReference(solution=solution, agreement=apart, rungs=tuple(self.rungs))

@@ -17,8 +17,8 @@ import pinocchio as pin
 from typing_extensions import override
 
 from trajopt.errors import InputError
-from trajopt.motion.arrays import rows_of
 from trajopt.motion.configurations import SolutionMotion
+from trajopt.motion.consistency import rows_of
 from trajopt.motion.interpolation import MotionSample
 from trajopt.motion.local_states import local_state
 from trajopt.motion.solution import Solution

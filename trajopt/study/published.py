@@ -6,7 +6,7 @@ from typing import Any
 
 from rich.table import Table
 
-from trajopt.problem.published import PublishedOptimum
+from trajopt.problem.problem import PublishedOptimum
 from trajopt.solving.solving import solve
 from trajopt.study.display import figure_table
 

@@ -14,6 +14,7 @@ from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.dynamics.rotations import rotation_error, rotation_matrix
 from trajopt.errors import InputError
 from trajopt.robot.kinematics import contact_positions
+from trajopt.robot.legs import wheel_rows
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.robot.validation import require_configuration
@@ -87,23 +88,10 @@ class TerminalState(NodeConstraint):
 
     @override
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
-        difference = configuration_difference(context, self.q) / units.position
-        levers = [context.lever(context.robot.contact(name)) for name in place.phase.contacts]
-        rolling = [
-            name for name, lever in zip(place.phase.contacts, levers, strict=True) if lever is not None
-        ]
-        return free_rows(context, place, self.q, difference, wheel_rows(context.robot, self.q, rolling))
-
-
-def wheel_rows(robot: Robot, q: np.ndarray, contacts: Sequence[str]) -> list[int]:
-    """Rows of v of the joints that turn these contacts about their centres, at q (nq,)."""
-    rows = []
-    for contact in map(robot.contact, contacts):
-        joint = robot.model.joints[robot.model.frames[robot.model.getFrameId(contact.frame)].parentJoint]
-        moved = contact_jacobian(robot.model, q, [(contact.frame, 3)])
-        own = range(joint.idx_v, joint.idx_v + joint.nv)
-        rows += [row for row in own if np.abs(moved[:, row]).max() < RANK_TOLERANCE * robot.length]
-    return rows
+        robot, difference = context.robot, configuration_difference(context, self.q) / units.position
+        rolling = [name for name in place.phase.contacts if context.lever(robot.contact(name)) is not None]
+        wheels = [row for name, row in wheel_rows(robot).items() if name in rolling]
+        return free_rows(context, place, self.q, difference, wheels)
 
 
 def free_rows(

@@ -1,5 +1,6 @@
 """Convex hulls, and the ground as convex bodies: a half-space, or the volumes below plane faces."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 
@@ -129,19 +130,30 @@ class _KeyedTerrain:
 @lru_cache(maxsize=MOST_TERRAINS)
 def _below(keyed: _KeyedTerrain) -> tuple[ConvexGround, ...]:
     terrain = keyed.terrain
-    grown = [_grown(face, terrain) for face in terrain.faces]
-    low = min(float(tops[:, 2].min()) for tops in grown) - DEPTH
     bodies: list[ConvexGround] = []
-    for tops in grown:
-        body = ConvexGround(points=extruded(tops, low))
+    for points in _solids([_grown(face, terrain) for face in terrain.faces], DEPTH):
+        body = ConvexGround(points=points)
         if not any(_contains(other, body) for other in bodies):
             bodies = [other for other in bodies if not _contains(body, other)] + [body]
     return tuple(bodies)
 
 
-def extruded(tops: np.ndarray, low: float) -> np.ndarray:
-    """Corners (2 k, 3) of the prism below a face with corners ``tops`` (k, 3), down to ``low`` m."""
-    return np.concatenate([tops, np.column_stack([tops[:, :2], np.full(len(tops), low)])])
+def solids_within(
+    terrain: PiecewiseTerrain, low: np.ndarray, high: np.ndarray, depth: float
+) -> list[tuple[Patch, np.ndarray]]:
+    """Faces over a rectangle from ``low`` to ``high`` (x, y) m, and the solid below the part of each there.
+
+    A solid has corners (2 k, 3), world, m: those of the part, then those ``depth`` m below the lowest part.
+    """
+    parts = [(face, top) for face in terrain.faces if len(top := face.within(low, high)) >= 3]
+    solids = _solids([top for _, top in parts], depth)
+    return [(face, solid) for (face, _), solid in zip(parts, solids, strict=True)]
+
+
+def _solids(tops: Sequence[np.ndarray], depth: float) -> list[np.ndarray]:
+    """Corners (2 k, 3) of the prism below each polygon (k, 3), down to ``depth`` m below the lowest."""
+    low = min((float(top[:, 2].min()) for top in tops), default=0.0) - depth
+    return [np.concatenate([top, np.column_stack([top[:, :2], np.full(len(top), low)])]) for top in tops]
 
 
 def _contains(body: ConvexGround, other: ConvexGround) -> bool:
@@ -209,7 +221,7 @@ def _edges(polygon: np.ndarray) -> list[_HalfPlane]:
 
 def _is_ground(tops: np.ndarray, terrain: PiecewiseTerrain) -> bool:
     """Whether everything below the hull of ``tops`` (k, 3) is below faces of the terrain."""
-    body = ConvexGround(points=extruded(tops, float(tops[:, 2].min()) - 1.0))
+    body = ConvexGround(points=_solids([tops], 1.0)[0])
     for normal, offset in zip(*body.planes, strict=True):
         if normal[2] <= SAME_HEIGHT:
             continue

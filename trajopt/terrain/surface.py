@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from trajopt.arguments import Array3, NonNegative, Positive, checked
 from trajopt.errors import InputError, shown
+
+_Touch = TypeVar("_Touch")
 
 UP = (0.0, 0.0, 1.0)
 # Two surfaces are one plane within this distance, m, and this error of the normal: rounding of forward
@@ -132,3 +134,16 @@ class Surface:
         if not isinstance(described, dict) or set(described) - {"slip_speed"} != set(keys):
             raise InputError(f"a surface is described by {shown(described)}", f"allowed: {', '.join(keys)}")
         return cls(**described)
+
+
+def by_plane(touches: Iterable[_Touch], surface_of: Callable[[_Touch], Surface]) -> list[list[_Touch]]:
+    """Return the touches of each plane, planes in the order of their first touch."""
+    groups: list[list[_Touch]] = []
+    for touch in touches:
+        plane = surface_of(touch)
+        same = next((group for group in groups if surface_of(group[0]).same_plane(plane)), None)
+        if same is None:
+            groups.append([touch])
+        else:
+            same.append(touch)
+    return groups

@@ -9,7 +9,6 @@ from types import MappingProxyType
 import numpy as np
 
 from trajopt.arguments import NonNegative, checked
-from trajopt.errors import require_not_negative
 from trajopt.pickling import picklable
 from trajopt.terrain.crossing import Crossing, Edge, crossing
 from trajopt.terrain.flat import FlatGround
@@ -27,11 +26,6 @@ OVER_CLEARANCE = 1.5
 CACHED_SWINGS = 1024
 
 SwingPath = Callable[[str, np.ndarray, np.ndarray, float], np.ndarray]
-
-
-def require_clearance(clearance: float) -> None:
-    """Raise `InputError` for a swing clearance, m, that is negative or not finite."""
-    require_not_negative("swing clearance", clearance, "m")
 
 
 def swing_profile(s: float) -> float:

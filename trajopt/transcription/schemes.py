@@ -26,7 +26,10 @@ import casadi as ca
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from trajopt.errors import not_among
+from trajopt.errors import InputError, not_among
+
+# Largest error of the quadrature of a monomial: rounding.
+ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,6 +44,10 @@ class Scheme:
         A2: weights (s, s) of y in xi at the points.
         b1: weights (s,) of y in xi' at the end; also the quadrature weights of the running cost.
         b2: weights (s,) of y in xi at the end.
+
+    Raises:
+        InputError: for points that do not ascend or are not within 0 to 1, or for an order that the
+            quadrature with ``b1`` does not have.
     """
 
     name: str
@@ -56,6 +63,12 @@ class Scheme:
         object.__setattr__(self, "s", len(self.c))
         for array in (self.c, self.A1, self.A2, self.b1, self.b2):
             array.setflags(write=False)
+        _require_points(self.name, self.c)
+        degrees = np.arange(self.order)
+        wrong = np.abs(self.b1 @ self.c[:, None] ** degrees - 1 / (degrees + 1)) > ROUNDING
+        if wrong.any():
+            exact = f"allowed: up to {wrong.argmax()}, with these points and b1"
+            raise InputError(f"order of scheme '{self.name}' is {self.order}", exact)
 
     @cached_property
     def error_constant(self) -> float:
@@ -128,6 +141,12 @@ class Scheme:
         return np.column_stack([basis.deriv()(where) + 0 * where for basis in self._lagrange[0]])
 
 
+def _require_points(name: str, c: np.ndarray) -> None:
+    if not (len(c) and c[0] >= 0 and c[-1] <= 1 and (np.diff(c) > 0).all()):
+        points = ", ".join(f"{point:g}" for point in c) or "none"
+        raise InputError(f"points of scheme '{name}' are {points}", "allowed: ascending, from 0 to 1")
+
+
 def _values(bases: Sequence[Polynomial], where: np.ndarray) -> np.ndarray:
     """Values (len(where), len(bases)) of polynomials."""
     return np.column_stack([basis(where) for basis in bases])
@@ -151,8 +170,9 @@ def collocation(name: str, order: int, c: np.ndarray) -> Scheme:
     """Collocation of the acceleration at points ``c`` (s,) of an interval, between 0 and 1.
 
     ``order`` is that of the quadrature at these points and of the accuracy at the nodes (de Boor and Swartz,
-    1973).
+    1973). Raises `InputError`, see `Scheme`.
     """
+    _require_points(name, c)
     one = np.ones(1)
     return Scheme(
         name=name,

@@ -1,4 +1,4 @@
-"""Plans of finite motions that are planned anew from the measured state, in MuJoCo."""
+"""Plans of finite motions that are replanned from the measured state, in MuJoCo."""
 
 import math
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The half of a symmetric robot against the whole: the same optimum, or the reason why not."""
+"""Pruned problems and halves of symmetric robots against the whole: the same optimum, or why not."""
 
 from dataclasses import dataclass, replace
 
@@ -10,33 +10,27 @@ from numpy.testing import assert_allclose
 
 import trajopt
 from scripts.measure.scenes import upright_jump
-from tests.support.scene_optima import SAME_MOTION, SAME_OPTIMUM, SOLVED, objective, solved
-from tests.support.scenes import FEET, biped, drive, push, symmetrised, usual
-from trajopt import InputError, Phase, Problem, Robot, Schedule, Solution
-from trajopt.certify.report import AT_POINTS
-from trajopt.reduced.scenes.smallest_scene import smallest
-from trajopt.robot.building import leaving_plane
-from trajopt.robot.kinematics import contact_positions, inverse_kinematics
-from trajopt.robot.units import Units
-from trajopt.schedule import middle_of
-from trajopt.terms import (
-    AccelerationCost,
-    Context,
-    Cost,
-    DriveLimits,
-    FrameHeight,
-    FramePose,
-    ImpulseCost,
-    MotorTorqueCost,
-    NodeConstraint,
-    NodePlace,
-    NormalForce,
-    Rows,
-    TerminalState,
-    TimeCost,
-    TorqueLimits,
+from tests.support.models import placement
+from tests.support.problems import reach
+from tests.support.scenes import (
+    FEET,
+    SAME_MOTION,
+    SAME_OPTIMUM,
+    SOLVED,
+    biped,
+    drive,
+    objective,
+    push,
+    solved,
+    symmetrised,
+    usual,
 )
-from trajopt.terrain.surface import Surface
+from trajopt import Contact, InputError, Phase, Problem, Robot, Schedule, Solution, middle_of, terms
+from trajopt.certify.report import AT_POINTS
+from trajopt.reduced.scenes import smallest
+from trajopt.robot import Units, contact_positions, inverse_kinematics
+from trajopt.robot.building import leaving_plane
+from trajopt.terrain import Surface
 from trajopt_library import problems
 
 pytestmark = pytest.mark.long
@@ -47,23 +41,23 @@ ARMS = ("left_arm", "right_arm")
 
 
 @dataclass(frozen=True, kw_only=True)
-class FeetWidth(NodeConstraint):
+class FeetWidth(terms.NodeConstraint):
     """Distance between both feet at the end, m: a constraint of a kind that scenes do not know."""
 
     width: float
 
-    def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
+    def rows(self, context: terms.Context, units: Units, place: terms.NodePlace) -> terms.Rows:
         left, right = (context.frame(foot).position for foot in FEET)
-        return Rows.create(
+        return terms.Rows.create(
             ca.vertcat(left[1] - right[1], left[0] - right[0]), [self.width, 0], [self.width, 0], units.length
         )
 
 
 @dataclass(frozen=True, kw_only=True)
-class LeftFootCost(Cost):
+class LeftFootCost(terms.Cost):
     """Where the left foot is: prices one side alone."""
 
-    def residual(self, context: Context, units: Units) -> ca.SX:
+    def residual(self, context: terms.Context, units: Units) -> ca.SX:
         return context.frame(FEET[0]).position / units.length
 
 
@@ -86,15 +80,15 @@ def test_the_half_of_a_symmetric_robot_has_the_optimum_of_the_whole(tilt: float)
 def hop(robot: Robot, *, impact: bool, free: bool) -> Problem:
     """Stance, flight and landing, by an impact or softly, in a time that is free or not."""
     bounds = {"duration_bounds": (0.1, 0.4)} if free else {}
-    extra = [TimeCost(weight=1e-2)] if free else []
+    extra = [terms.TimeCost(weight=1e-2)] if free else []
     end = usual(robot)
     return push(
         robot,
         terms=(
             *end,
             *extra,
-            ImpulseCost(weight=1e-2),
-            FrameHeight(frame="waist", height=0.12 + robot.reference[2], at=middle_of("flight")),
+            terms.ImpulseCost(weight=1e-2),
+            terms.FrameHeight(frame="waist", height=0.12 + robot.reference[2], at=middle_of("flight")),
         ),
         schedule=Schedule(
             (
@@ -155,18 +149,18 @@ def asymmetric_tasks() -> dict[str, Problem]:
     one = Schedule((Phase(name="stance", duration=0.3, contacts=FEET[:1]),))
     wall = Surface(point=feet[FEET[0]], normal=np.array([0.0, 0.3, 1.0]))
     slope = Schedule((Phase(name="stance", duration=0.3, contacts=FEET, surfaces={FEET[0]: wall}),))
-    goal = FramePose(frame="waist", position=np.array([0.0, 0.1, 0.6]))
+    goal = terms.FramePose(frame="waist", position=np.array([0.0, 0.1, 0.6]))
     uneven = np.full(robot.nu, 50.0)
     uneven[0] = 20.0
-    endless = tuple(term for term in usual(robot) if not isinstance(term, TerminalState))
+    endless = tuple(term for term in usual(robot) if not isinstance(term, terms.TerminalState))
     return {
         "level": push(robot, initial_q=rolled, terms=endless),
         "the start": push(robot, initial_v=sideways),
         "contact 'left_foot'": push(robot, schedule=one),
         "the surface under 'left_foot'": push(robot, schedule=slope),
         "frame_pose": push(robot, terms=(*usual(robot), goal)),
-        "torque_limits": push(robot, terms=(*usual(robot), TorqueLimits(limit=uneven))),
-        "normal_force": push(robot, terms=(*usual(robot), NormalForce(contact=FEET[0], upper=15.0))),
+        "torque_limits": push(robot, terms=(*usual(robot), terms.TorqueLimits(limit=uneven))),
+        "normal_force": push(robot, terms=(*usual(robot), terms.NormalForce(contact=FEET[0], upper=15.0))),
         "left_foot_cost": push(robot, terms=(*usual(robot), LeftFootCost(weight=1.0))),
     }
 
@@ -182,11 +176,11 @@ def test_terms_of_unknown_kinds_and_both_sides_come_with_the_half() -> None:
     data = robot.model.createData()
     pin.framesForwardKinematics(robot.model, data, robot.reference)
     feet = [data.oMf[robot.model.getFrameId(foot)].translation[1] for foot in FEET]
-    both = tuple(NormalForce(contact=foot, upper=0.53 * robot.weight) for foot in FEET)
-    waist = FramePose(frame="waist", rotation=pin.rpy.rpyToMatrix(0.0, 0.05, 0.0))
+    both = tuple(terms.NormalForce(contact=foot, upper=0.53 * robot.weight) for foot in FEET)
+    waist = terms.FramePose(frame="waist", rotation=pin.rpy.rpyToMatrix(0.0, 0.05, 0.0))
     extra = (*both, waist)
-    terms = tuple(t for t in usual(robot) if type(t).__name__ != "TerminalState")
-    problem = push(robot, terms=(*terms, *extra))
+    all_terms = tuple(t for t in usual(robot) if type(t).__name__ != "TerminalState")
+    problem = push(robot, terms=(*all_terms, *extra))
     keep = ("left_abduction", "right_abduction", *ARMS)
     made = smallest(problem, keep=keep, plane=True)
     full, own = solved(problem), solved(made.problem)
@@ -196,15 +190,17 @@ def test_terms_of_unknown_kinds_and_both_sides_come_with_the_half() -> None:
     turned = data.oMf[robot.model.getFrameId("waist")].rotation
     assert_allclose(turned, pin.rpy.rpyToMatrix(0.0, 0.05, 0.0), atol=SAME_MOTION)
     # One row of three turns in the plane, and the other foot's distance follows from this one's.
-    width = smallest(push(robot, terms=(*terms, FeetWidth(width=feet[0] - feet[1]))), keep=keep, plane=True)
+    width = smallest(
+        push(robot, terms=(*all_terms, FeetWidth(width=feet[0] - feet[1]))), keep=keep, plane=True
+    )
     assert made.report.after.rows - width.report.after.rows == len(width.problem.schedule.phases) * 12
 
 
 def test_drives_of_the_whole_robot_price_and_limit_the_half_alike() -> None:
     robot = biped()
     robot = robot.with_drives({name: drive() for name in ("left_hip", "right_hip")})
-    terms = tuple(term for term in usual(robot) if not isinstance(term, TorqueLimits))
-    problem = push(robot, terms=(*terms, MotorTorqueCost(weight=1.0), DriveLimits()))
+    all_terms = tuple(term for term in usual(robot) if not isinstance(term, terms.TorqueLimits))
+    problem = push(robot, terms=(*all_terms, terms.MotorTorqueCost(weight=1.0), terms.DriveLimits()))
     keep = ("left_abduction", "right_abduction", *ARMS)
     made = smallest(problem, keep=keep, plane=True)
     assert made.report.is_exact
@@ -223,7 +219,7 @@ def test_abduction_is_locked_where_legs_move_in_the_plane_without_it() -> None:
 
 def test_a_symmetric_task_may_have_a_better_optimum_that_is_not_its_own_image() -> None:
     robot = biped()
-    problem = push(robot, terms=(*usual(robot), AccelerationCost(weight=1.0)))
+    problem = push(robot, terms=(*usual(robot), terms.AccelerationCost(weight=1.0)))
     made = smallest(problem, keep=("left_abduction", "right_abduction", *ARMS), plane=True)
     # From a start that is not its own image: iterates from one that is stay so, but for rounding.
     full, own = solved(problem, perturb=0.01), solved(made.problem)
@@ -236,14 +232,12 @@ def test_a_symmetric_task_may_have_a_better_optimum_that_is_not_its_own_image() 
 
 def test_a_foothold_to_the_side_keeps_the_abduction() -> None:
     robot = biped()
-    data = robot.model.createData()
-    pin.framesForwardKinematics(robot.model, data, robot.reference)
-    feet = {foot: data.oMf[robot.model.getFrameId(foot)].translation.copy() for foot in FEET}
+    feet = {foot: placement(robot.model, robot.reference, foot).translation.copy() for foot in FEET}
     for foot, side in zip(FEET, (1, -1), strict=True):
         feet[foot][1] += 0.05 * side
     problem = hop(robot, impact=False, free=False)
     last = replace(problem.schedule.phases[-1], footholds=feet)
-    endless = tuple(term for term in problem.terms if not isinstance(term, TerminalState))
+    endless = tuple(term for term in problem.terms if not isinstance(term, terms.TerminalState))
     wide = replace(problem, schedule=Schedule((*problem.schedule.phases[:-1], last)), terms=endless)
     assert smallest(wide).problem.robot.nv == 6
 
@@ -277,3 +271,181 @@ def test_in_the_plane_the_optimum_is_that_of_the_whole_robot_with_abduction_lock
     assert (whole.robot.nv, half.problem.robot.nv, flat.problem.robot.nv) == (14, 7, 7)
     found = [objective(solved(entry, 12)) for entry in (whole, half.problem, flat.problem)]
     assert_allclose(found[1:], found[0], rtol=SAME_OPTIMUM)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hold(terms.PointConstraint):
+    """Some joints do not accelerate: from rest, they stay. Its rows are the coordinates' own."""
+
+    joints: tuple[str, ...]
+
+    def rows(self, context: terms.Context, units: Units) -> terms.Rows:
+        model = context.robot.model
+        held = [context.ddxi[model.joints[model.getJointId(name)].idx_v] for name in self.joints]
+        return terms.Rows.create(ca.vertcat(*held), 0, 0, 1.0)
+
+
+# What nothing needs
+
+
+def test_arms_without_a_task_are_locked_and_reported_as_a_choice() -> None:
+    made = smallest(push(biped()), plane=False)
+    assert made.problem.robot.nv == 12
+    (choice,) = made.report.of_kind("choice")
+    assert "left_arm, right_arm" in choice.what
+    assert choice.saved.variables == made.report.before.variables - made.report.after.variables > 0
+    assert choice.saved.rows == made.report.before.rows - made.report.after.rows > 0
+    assert not made.report.is_exact
+
+
+def test_sizes_in_the_report_are_those_of_the_solved_problems() -> None:
+    problem = push(biped())
+    made = smallest(problem)
+    for size, entry in ((made.report.before, problem), (made.report.after, made.problem)):
+        found = solved(entry).meta
+        assert (size.variables, size.rows) == (found["variables"], found["constraints"])
+
+
+def test_locked_joints_give_the_optimum_of_the_full_problem_that_holds_them() -> None:
+    robot = biped(waist=True)
+    all_terms = [term for term in usual(robot) if not isinstance(term, terms.TorqueCost)]
+    above = (*ARMS, "waist_yaw", "waist_pitch")
+    problem = push(robot, terms=all_terms)
+    made = smallest(problem, plane=False)
+    assert set(made.problem.robot.model.names) == set(robot.model.names) - set(above)
+    held = solved(replace(problem, terms=(*all_terms, Hold(joints=above))))
+    own = solved(made.problem)
+    assert objective(own) == pytest.approx(objective(held), rel=SAME_OPTIMUM)
+    assert_allclose(made.lift(own).q, held.q, atol=SAME_MOTION)
+
+
+def test_a_lifted_solution_holds_its_locked_joints_and_passes_the_check() -> None:
+    made = smallest(push(biped(waist=True)))
+    lifted = made.lift(solved(made.problem, 20))
+    report = trajopt.check(lifted)
+    assert report.within(AT_POINTS), report.failures(AT_POINTS)
+    model = lifted.model
+    for name in ARMS:
+        joint = model.joints[model.getJointId(name)]
+        assert np.abs(lifted.v[:, joint.idx_v]).max() == 0
+        assert np.abs(lifted.tau[:, joint.idx_v - 6]).max() > 0
+
+
+def test_kept_joints_move_and_the_report_says_why() -> None:
+    made = smallest(push(biped(waist=True)), keep=["left_arm"], plane=False)
+    names = set(made.problem.robot.model.names)
+    assert "left_arm" in names
+    assert "right_arm" not in names
+    # The arm hangs on the waist, which nothing needs all the same.
+    assert "waist_pitch" not in names
+    assert any("left_arm, as asked" in decision.what for decision in made.report.of_kind("kept"))
+
+
+def test_a_joint_is_needed_by_its_goal_its_posture_its_speed_or_a_term_about_it() -> None:
+    robot = biped()
+    joint = robot.model.joints[robot.model.getJointId("left_arm")]
+    raised, moving = robot.reference.copy(), np.zeros(robot.nv)
+    raised[joint.idx_q : joint.idx_q + 2] = [np.cos(0.5), np.sin(0.5)]
+    moving[joint.idx_v] = 0.1
+    for changes in (
+        {"terms": (*usual(robot), terms.PostureCost(weight=1.0, q=raised))},
+        {"initial_v": moving},
+        {"terms": (*usual(robot), Hold(joints=("left_arm",)))},
+        {"terms": (*usual(robot), terms.FrameHeight(frame="left_arm", height=0.0, at=middle_of("stance")))},
+    ):
+        names = list(smallest(push(robot, **changes), plane=False).problem.robot.model.names)
+        assert "left_arm" in names
+        assert "right_arm" not in names
+
+
+def test_joints_to_lock_may_be_named_and_must_exist_and_be_free() -> None:
+    problem = push(biped())
+    made = smallest(problem, lock=["left_abduction", "right_abduction"], plane=False)
+    assert made.problem.robot.nv == 10
+    for lock, keep, word in (
+        (["tail"], [], "unknown"),
+        (["base"], [], "is the base"),
+        (["left_hip"], ["left_hip"], "kept as well"),
+    ):
+        with pytest.raises(InputError, match=word):
+            smallest(problem, lock=lock, keep=keep)
+    with pytest.raises(InputError, match="joint 'tail' to keep is unknown"):
+        smallest(problem, keep=["tail"])
+    with pytest.raises(InputError, match=r"plane of smallest is .*; allowed: auto, True, False"):
+        smallest(problem, plane="yes")  # type: ignore[arg-type]
+
+
+def test_arrays_over_joints_follow_the_joints_that_are_left() -> None:
+    robot = biped()
+    limit = np.arange(1.0, robot.nu + 1)
+    all_terms = (*usual(robot), terms.TorqueLimits(limit=limit))
+    made = smallest(push(robot, terms=all_terms), plane=False)
+    own = next(t for t in made.problem.terms if isinstance(t, terms.TorqueLimits) and t.limit is not None)
+    assert_allclose(own.limit, limit[:6])
+    assert made.problem.guess(0.0).shape == made.problem.initial_q.shape == (made.problem.robot.nq,)
+
+
+# Contacts, rows, actuation
+
+
+def test_contacts_that_are_never_active_are_dropped_unless_a_swing_must_clear_them() -> None:
+    robot = biped()
+    contacts = (*robot.contacts, Contact(frame="waist", name="back"))
+    touching = replace(robot, contacts=contacts)
+    cleared = usual(robot)
+    problem = push(touching, terms=tuple(t for t in cleared if type(t).__name__ != "SwingClearance"))
+    made = smallest(problem, plane=False)
+    assert [contact.name for contact in made.problem.robot.contacts] == list(FEET)
+    assert any("back" in decision.what for decision in made.report.of_kind("exact"))
+    kept = smallest(push(touching, terms=cleared), plane=False)
+    assert "back" in [contact.name for contact in kept.problem.robot.contacts]
+    lifted = made.lift(solved(made.problem))
+    assert lifted.f.shape[1] == 3
+    assert not lifted.active[:, 2].any()
+
+
+def test_without_a_term_on_torques_the_optimum_is_found_without_them() -> None:
+    problem = reach(gravity=True)
+    made = smallest(problem)
+    assert made.problem.actuation == "acceleration"
+    assert made.report.is_exact
+    assert any(decision.what == "joint torques" for decision in made.report.of_kind("exact"))
+    full, own = solved(problem), solved(made.problem)
+    assert objective(own) == pytest.approx(objective(full), rel=SAME_OPTIMUM)
+    assert_allclose(own.tau, full.tau, atol=SAME_MOTION * problem.robot.weight)
+    assert smallest(problem, torques=True).problem.actuation == "torque"
+
+
+def test_torques_are_modelled_where_they_are_priced_or_limited() -> None:
+    for term in (terms.TorqueCost(weight=1.0), terms.TorqueLimits(limit=np.array([5.0]))):
+        made = smallest(reach(gravity=True, terms=(terms.AccelerationCost(weight=1.0), term)))
+        assert made.problem.actuation == "torque"
+    for term in (terms.TorqueCost(weight=0.0), terms.TorqueLimits()):
+        made = smallest(reach(gravity=True, terms=(terms.AccelerationCost(weight=1.0), term)))
+        assert made.problem.actuation == "acceleration"
+
+
+def test_limits_beyond_reach_friction_of_grasps_and_flight_are_reported_with_the_reason() -> None:
+    report = str(smallest(problems.load("solo12-jump")).report)
+    for words in ("no forces", "30 m g l", "more than a turn", "30 sqrt(g / l)", "in the air"):
+        assert words in report
+    handle = Surface(point=np.zeros(3), normal=np.array([0.0, 0.0, 1.0]), bilateral=True)
+    held = Phase(name="stance", duration=0.3, contacts=FEET, surfaces=dict.fromkeys(FEET, handle))
+    made = smallest(push(biped(), schedule=Schedule((held,))))
+    assert any("friction rows" in decision.what for decision in made.report.decisions)
+    assert any("clearance rows" in decision.what for decision in made.report.decisions)
+
+
+def test_a_velocity_source_is_offered_and_not_taken() -> None:
+    made = smallest(reach(terms=(terms.PostureCost(weight=1.0),)))
+    assert made.problem.actuation == "acceleration"
+
+
+def test_phases_in_minimal_coordinates_are_left_as_they_are() -> None:
+    problem = problems.load("hopper-hop", coordinates="minimal")
+    made = smallest(problem)
+    assert made.problem.robot is not None
+    assert made.report.before == made.report.after
+    assert "minimal coordinates" in made.report.of_kind("kept")[0].why
+    with pytest.raises(InputError, match="minimal coordinates"):
+        smallest(problem, plane=True)

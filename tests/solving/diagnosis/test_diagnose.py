@@ -11,25 +11,13 @@ import trajopt
 from tests.support.diagnosed import snapshot_of, solved
 from tests.support.problems import FOOT, REACH, REACH_TIME, hop, inertia, lean, limited_reach, reach
 from tests.support.redundant_contacts import corners
-from trajopt import Problem, Robot
-from trajopt.errors import InputError
-from trajopt.robot.kinematics import contact_positions
-from trajopt.robot.units import Units
+from trajopt import InputError, Problem, Robot, diagnose, terms
+from trajopt.robot import Units, contact_positions
 from trajopt.solving.diagnosis.conflict import BOX
 from trajopt.solving.diagnosis.contacts import _rank
-from trajopt.solving.diagnosis.diagnose import diagnose
 from trajopt.solving.diagnosis.diagnosis import Diagnosis
 from trajopt.solving.diagnosis.snapshot import Snapshot
 from trajopt.solving.solving import PreparedProblem, prepare
-from trajopt.terms import (
-    AccelerationCost,
-    Context,
-    PointConstraint,
-    PositionLimits,
-    Rows,
-    TerminalState,
-    TorqueCost,
-)
 from trajopt.transcription import term_functions
 
 pytestmark = pytest.mark.long
@@ -117,8 +105,8 @@ def corner_stance(count: int) -> Problem:
     robot = replace(robot, contacts=robot.contacts[:count])
     names = tuple(contact.name for contact in robot.contacts)
     stance = trajopt.Schedule((trajopt.Phase(name="stance", duration=0.2, contacts=names),))
-    terms = (TorqueCost(weight=1.0), AccelerationCost(weight=1e-2))
-    return hop("surface", robot=robot, schedule=stance, terms=terms, default_intervals=3)
+    all_terms = (terms.TorqueCost(weight=1.0), terms.AccelerationCost(weight=1e-2))
+    return hop("surface", robot=robot, schedule=stance, terms=all_terms, default_intervals=3)
 
 
 @pytest.mark.parametrize(("count", "excess"), [(2, 1), (4, 6)])
@@ -145,7 +133,7 @@ def test_forces_that_no_cost_tells_apart_have_no_curvature():
 
 def test_a_goal_that_is_stated_twice_is_named():
     problem = reach()
-    goal = TerminalState(q=np.array([REACH]))
+    goal = terms.TerminalState(q=np.array([REACH]))
     twice = replace(problem, terms=(*problem.terms, goal))
     found = diagnose(prepare(twice))
     (group,) = found.dependent
@@ -230,15 +218,15 @@ def test_a_problem_without_a_cost_has_directions_without_curvature():
 
 
 @dataclass(frozen=True, kw_only=True)
-class Badly(PointConstraint):
+class Badly(terms.PointConstraint):
     """A limit of the joint's rate, in rad/s, over a unit of a millionth."""
 
-    def rows(self, context: Context, units: Units) -> Rows:
-        return Rows.create(context.dxi[0], -1e3, 1e3, 1e-6)
+    def rows(self, context: terms.Context, units: Units) -> terms.Rows:
+        return terms.Rows.create(context.dxi[0], -1e3, 1e3, 1e-6)
 
 
 def test_rows_over_a_wrong_unit_are_told():
-    problem = reach(terms=(AccelerationCost(weight=1.0), Badly()))
+    problem = reach(terms=(terms.AccelerationCost(weight=1.0), Badly()))
     found = diagnose(prepare(problem))
     assert found.scaling is not None
     (block,) = found.scaling.worst_blocks
@@ -255,7 +243,7 @@ def test_a_start_on_a_limit_is_told():
     q[2] -= contact_positions(robot, q)[FOOT][2]
     start = diagnose(prepare(replace(problem, initial_q=q))).start
     assert start == (f"the start has shank exactly on its upper limit {q[-1]:.4g}",)
-    without = tuple(term for term in problem.terms if not isinstance(term, PositionLimits))
+    without = tuple(term for term in problem.terms if not isinstance(term, terms.PositionLimits))
     assert diagnose(prepare(replace(problem, initial_q=q, terms=without))).start == ()
 
 
@@ -274,7 +262,7 @@ def test_contact_ranks_fall_where_legs_are_straight():
 
 
 def test_a_mesh_that_is_too_coarse_is_named_with_its_phase():
-    problem = reach(gravity=True, terms=(TorqueCost(weight=1.0),))
+    problem = reach(gravity=True, terms=(terms.TorqueCost(weight=1.0),))
     solution = trajopt.solve(problem, transcription="semi-implicit-euler", intervals=4)
     found = diagnose(solution, problem)
     assert found.local_error is not None
@@ -302,5 +290,5 @@ def test_bad_input_is_refused_in_one_line():
 
 def test_a_file_of_another_problem_is_told_apart():
     _, solution = solved("reach")
-    other = reach(terms=(AccelerationCost(weight=3.0),))
+    other = reach(terms=(terms.AccelerationCost(weight=3.0),))
     assert any("objective" in note for note in diagnose(solution, other).notes)

@@ -9,8 +9,8 @@ import numpy as np
 
 from trajopt.certify.contact_figures import ContactStarts
 from trajopt.certify.dense import DenseMotion, dense_motion, figures_at
+from trajopt.motion.configurations import resampled
 from trajopt.motion.quantities import MotionQuantities
-from trajopt.motion.resampling import resampled
 from trajopt.robot.natural_units import NaturalUnits
 
 # Fractions of an interval at which residuals are evaluated: at least two between points of degree four.

@@ -9,13 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajopt.certify.accuracy.named_points import NamedPoints
-from trajopt.dynamics.base_joint import base_of
+from trajopt.certify.figures import figure
 from trajopt.errors import InputError
+from trajopt.motion.configurations import sample_interval
 from trajopt.motion.interpolation import MotionSample, joined
-from trajopt.motion.resampling import sample_interval
 from trajopt.motion.samples import state_distance
 from trajopt.motion.solution import Solution
-from trajopt.robot.natural_units import NaturalUnits
 
 # Number of times in each phase, including its ends, at which motions are compared.
 COMPARISON_TIMES = 101
@@ -38,14 +37,14 @@ class Comparison:
         by_phase: ``distance`` of each phase, m.
     """
 
-    objective_gap: float | None
-    distance: float
-    farthest: float
-    orientation: float | None
-    joints: float
-    torque: float
-    torque_rms: float
-    time: float
+    objective_gap: float | None = figure("objective against the reference", "relative")
+    distance: float = figure("position from the reference's", "m")
+    farthest: float = figure("farthest-off point from the reference's", "m")
+    orientation: float | None = figure("base orientation from the reference's", "rad")
+    joints: float = figure("joints from the reference's", "rad, m")
+    torque: float = figure("torques from the reference's", "weight, reach")
+    torque_rms: float = figure("torques from the reference's, mean square", "weight, reach")
+    time: float = figure("duration of a phase from the reference's", "s")
     by_phase: tuple[float, ...]
 
 
@@ -61,12 +60,12 @@ class _Apart:
 def compare(plan: Solution, reference: Solution) -> Comparison:
     """Compare two plans of one problem; raises `InputError` if robots, actuations or phases differ."""
     require_same_task(plan, reference)
-    points, units = NamedPoints.of(plan.model), NaturalUnits.of(plan.model)
+    points, units = NamedPoints.of(plan.model), plan.units
     phases = [_phase(plan, reference, points, phase) for phase in range(len(plan.phases))]
     unit = plan.actuation.input_unit(units.generalized_force(plan.model))
     torques = [part.torque / unit for part in phases]
     worst = np.array([part.state for part in phases])
-    fixed = base_of(plan.model) == "fixed"
+    fixed = plan.base == "fixed"
     distances = worst[:, 3] if fixed else worst[:, 0]
     return Comparison(
         objective_gap=objective_gap(plan, reference),

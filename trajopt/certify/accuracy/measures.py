@@ -1,15 +1,16 @@
 """Measure the accuracy of a solution independently: with numeric Pinocchio and the file's arrays alone."""
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
+from typing_extensions import override
 
 from trajopt.certify.accuracy.between import BetweenPoints, figures_between_points
 from trajopt.certify.accuracy.comparison import Comparison, compare
 from trajopt.certify.accuracy.open_loop import OpenLoopDrift, interval_drifts, motion_drift, phase_drifts
+from trajopt.certify.figures import FigureReport, figure
 from trajopt.motion.input import SolutionOrFile, consistent_solution
-from trajopt.motion.meta import jsonable
 from trajopt.motion.quantities import MotionQuantities
 from trajopt.motion.samples import largest_known
 
@@ -33,9 +34,20 @@ class PhaseAccuracy:
     foot_drift: float | None
     distance: float | None
 
+    def __str__(self) -> str:
+        parts = [
+            f"open loop {self.open_loop.position:.1e} m",
+            f"in the whole motion {self.motion.position:.1e} m",
+            f"local {self.interval_error:.1e} m",
+            f"rows between {self.collocation_error:.1e}",
+        ]
+        if self.distance is not None:
+            parts.append(f"from the reference {self.distance:.1e} m")
+        return f"phase '{self.name}' ({self.start:.3f} to {self.end:.3f} s): {', '.join(parts)}"
+
 
 @dataclass(frozen=True, kw_only=True)
-class Accuracy:
+class Accuracy(FigureReport):
     """Accuracy of a solution.
 
     Attributes:
@@ -56,25 +68,30 @@ class Accuracy:
         comparison: Comparison with a reference, or None.
     """
 
-    open_loop: float
-    open_loop_orientation: float | None
-    open_loop_joints: float
-    open_loop_farthest: float
-    open_loop_motion: float
-    open_loop_motion_orientation: float | None
-    open_loop_motion_joints: float
-    open_loop_motion_farthest: float
-    interval_errors: np.ndarray
+    DERIVED: ClassVar[tuple[str, ...]] = (
+        *("interval_error", "collocation_error", "violation_between", "objective_gap", "distance"),
+    )
+    FORM: ClassVar[tuple[int, str, str]] = (46, ".3e", ".0e")
+
+    open_loop: float = figure("open loop by phase, position", "m")
+    open_loop_orientation: float | None = figure("open loop by phase, base orientation", "rad")
+    open_loop_joints: float = figure("open loop by phase, joints", "rad, m")
+    open_loop_farthest: float = figure("open loop by phase, farthest-off point", "m")
+    open_loop_motion: float = figure("open loop, whole motion, position", "m")
+    open_loop_motion_orientation: float | None = figure("open loop, whole motion, base orientation", "rad")
+    open_loop_motion_joints: float = figure("open loop, whole motion, joints", "rad, m")
+    open_loop_motion_farthest: float = figure("open loop, whole motion, farthest-off point", "m")
+    interval_errors: np.ndarray = figure("local error of one interval", "m")
     collocation_errors: np.ndarray
-    base_error: float
-    actuated_error: float
-    contact_error: float
+    base_error: float = figure("base rows of the dynamics between points", "weight, reach")
+    actuated_error: float = figure("actuated rows of the dynamics between points", "weight, reach")
+    contact_error: float = figure("acceleration of contacts between points", "g, reach")
     position_gap: float
     velocity_gap: float
-    foot_drift: float | None
-    violations: dict[str, float | None]
+    foot_drift: float | None = figure("drift of active contacts between points", "m")
+    violations: dict[str, float | None] = figure("violation between points", "natural")
     phases: tuple[PhaseAccuracy, ...]
-    comparison: Comparison | None = None
+    comparison: Comparison | None = figure("")
 
     @property
     def interval_error(self) -> float:
@@ -101,10 +118,12 @@ class Accuracy:
         """Largest distance of the motion from the reference's, m; None without a reference."""
         return None if self.comparison is None else self.comparison.distance
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return JSON-able figures by name, with lists by interval and phase; inf and NaN become None."""
-        derived = ("interval_error", "collocation_error", "violation_between", "objective_gap", "distance")
-        return jsonable({name: getattr(self, name) for name in derived} | asdict(self))
+    @override
+    def table(self) -> str:
+        """Figures with units, and the phases."""
+        worst = f"interval {int(np.argmax(self.interval_errors))} of {len(self.interval_errors)}"
+        lines = [super().table(), f"{worst} has the largest local error"]
+        return "\n".join([*lines, *map(str, self.phases)])
 
 
 def measure(solution: SolutionOrFile, reference: SolutionOrFile | None = None) -> Accuracy:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import csv
-import math
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 from trajopt.arguments import checked
-from trajopt.errors import InputError
+from trajopt.errors import InputError, finite_number
 
 # The gait of a robot that stands.
 STAND = "stand"
+SPEEDS = ("speed", "lateral", "turn_rate")
 TIME = "time"
 
 
@@ -92,12 +92,12 @@ def read_commands(path: Path, gaits: Sequence[str]) -> CommandScript:
         if None in row or None in row.values():
             raise InputError(f"{where} has another number of fields", f"allowed: {len(columns)}")
         given = {name: text.strip() for name, text in row.items() if text.strip()}
-        time = _number(f"{where}: {TIME}", given.pop(TIME, ""))
+        time = finite_number(f"{where}: {TIME}", given.pop(TIME, ""))
         _require_next(times, time, where)
         gait = given.pop("gait", commands[-1].gait if commands else STAND)
         if gait not in (STAND, *gaits):
             raise InputError(f"{where}: gait is '{gait}'", f"allowed: {', '.join((STAND, *gaits))}")
-        numbers = {name: _number(f"{where}: {name}", text) for name, text in given.items()}
+        numbers = {name: finite_number(f"{where}: {name}", text) for name, text in given.items()}
         commands.append(replace(commands[-1] if commands else Command(), gait=gait, **numbers))
         times.append(time)
     return CommandScript(tuple(times), tuple(commands))
@@ -112,13 +112,3 @@ def unreadable(path: Path, error: Exception, allowed: str) -> InputError:
 def _require_next(before: Sequence[float], time: float, where: str) -> None:
     if time <= before[-1] if before else time != 0.0:
         raise InputError(f"{where}: time is {time:g}", "allowed: the first 0, then increasing, s")
-
-
-def _number(what: str, text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise InputError(f"{what} is '{text}'", "allowed: a finite number")
-    return value

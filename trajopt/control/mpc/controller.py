@@ -12,7 +12,7 @@ import pinocchio as pin
 from typing_extensions import override
 
 from trajopt.control.mpc.clock import GaitClock
-from trajopt.control.mpc.commands import STAND, Command
+from trajopt.control.mpc.commands import SPEEDS, STAND, Command
 from trajopt.control.mpc.gait_reference import GaitReference, RestingFeet, half_stance
 from trajopt.control.mpc.ground import GroundEstimate
 from trajopt.control.mpc.receding import ControllerSettings, LegsController
@@ -24,8 +24,9 @@ from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.schedule.gaits import Gait, gait_of
 
-# Periods of gaits over sqrt(l / g), and the period of any other gait.
-PERIODS, PERIOD = {"walk": 3.2, "trot": 2.0, "pace": 1.6, "bound": 1.6, "pronk": 2.0}, 2.6
+# Periods of gaits over sqrt(l / g); the least period and the least duration of a swing of any other gait.
+PERIODS = {"walk": 3.2, "trot": 2.0, "pace": 1.6, "bound": 1.6, "pronk": 2.0, "tripod": 2.0}
+PERIOD, SWING = 2.6, 1.0
 # Duty factors that differ from `trajopt.schedule.gaits`: a bound without flight.
 DUTIES = {"bound": 0.5}
 # Largest accelerations towards a command: of speeds over g, of the turn rate over g / l.
@@ -41,7 +42,7 @@ class Controller(LegsController[GaitClock]):
     """Whole-body receding-horizon control of a legged robot that follows commands.
 
     Args:
-        robot: a robot with a free base and 1, 2 or 4 feet.
+        robot: a robot with a free base and feet.
         gaits: names of the gaits that may be commanded; their horizons are built here.
         settings: settings of the plans and of the feedback.
     """
@@ -51,8 +52,8 @@ class Controller(LegsController[GaitClock]):
     ) -> None:
         chosen, unit = settings or ControllerSettings(), Units(robot).time
         self._resting = RestingFeet(robot, list(feet_in_base(robot)))
-        periods = {name: (_gait(robot, name), PERIODS.get(name, PERIOD) * unit) for name in gaits}
-        super().__init__(robot, GaitClock(self._resting.names, periods), chosen)
+        timed = {name: _timed(robot, name, unit) for name in gaits}
+        super().__init__(robot, GaitClock(self._resting.names, timed), chosen)
         self._heading: float | None = None
         self._asked = Command()
         self._velocity_integral = np.zeros(2)
@@ -77,12 +78,10 @@ class Controller(LegsController[GaitClock]):
             command: the command from now on.
 
         Raises:
-            InputError: for a gait that was not prepared, a time that is not finite or decreases, and a state
-                that is not finite or has the wrong shape.
+            InputError: for a command that is not `possible`, a time that is not finite or decreases, and a
+                state that is not finite or has the wrong shape.
         """
-        if command.gait != STAND and command.gait not in self.clock.gaits:
-            allowed = ", ".join((STAND, *self.clock.gaits))
-            raise InputError(f"gait is '{command.gait}'", f"allowed: {allowed}")
+        command = self.possible(command)
         passed = self._passed(time, q, v, contacts)
         self.clock.request(command.gait)
         places = np.array(list(contact_positions(self.robot, q).values()))[self._feet]
@@ -97,6 +96,31 @@ class Controller(LegsController[GaitClock]):
         away = math.remainder(heading + self._asked.turn_rate * passed - yaw, 2 * math.pi)
         self._heading = yaw + min(max(away, -FARTHEST), FARTHEST)
         return self._follow(passed, q, v, self._reference_maker)
+
+    @property
+    def rolling(self) -> tuple[str, ...]:
+        """Speeds of a command that the robot can have on its wheels while it stands."""
+        return self._resting.rolling
+
+    def possible(self, command: Command) -> Command:
+        """The command that is followed: a robot that cannot stand still steps in place instead.
+
+        Raises:
+            InputError: for a gait that was not prepared, and a speed that wheels do not permit in a stand.
+        """
+        if command.gait != STAND:
+            if command.gait not in self.clock.gaits:
+                allowed = ", ".join((STAND, *self.clock.gaits))
+                raise InputError(f"gait is '{command.gait}'", f"allowed: {allowed}")
+            return command
+        if not self._resting.stable:
+            stepping = next(iter(self.clock.gaits)) if self.clock.gait == STAND else self.clock.gait
+            return Command(gait=stepping, height=command.height)
+        for name in SPEEDS if self._resting.wheels else ():
+            if getattr(command, name) and name not in self.rolling:
+                allowed = f"allowed: {', '.join(self.rolling) or 'none'}, or a gait that steps"
+                raise InputError(f"{name} of a stand on wheels is {getattr(command, name):g}", allowed)
+        return command
 
     def _reference_maker(self) -> Callable[[GaitClock, np.ndarray], Reference]:
         """A function that makes a plan's reference from the present command and estimate of the ground."""
@@ -122,7 +146,7 @@ class Controller(LegsController[GaitClock]):
         turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
         error = np.array([self._asked.speed, self._asked.lateral]) - turn @ level
         unit = self.robot.length / self.unit
-        if self.clock.gait == STAND:
+        if self.clock.gait == STAND and not self.rolling:
             self._velocity_integral[:] = 0.0
         elif np.linalg.norm(error) < SMALL * unit:
             moved = self._velocity_integral + passed * STEADY / self.unit * error
@@ -150,7 +174,8 @@ class Controller(LegsController[GaitClock]):
         return replace(command, **moved)
 
 
-def _gait(robot: Robot, name: str) -> Gait:
-    """A gait of a robot, with its duty factor from `DUTIES`."""
+def _timed(robot: Robot, name: str, unit: float) -> tuple[Gait, float]:
+    """A gait of a robot, with its duty factor from `DUTIES`, and its period, s; ``unit`` is sqrt(l / g)."""
     gait = gait_of(robot, name)
-    return gait.with_duty(DUTIES[name]) if name in DUTIES else gait
+    gait = gait.with_duty(DUTIES[name]) if name in DUTIES else gait
+    return gait, PERIODS.get(name, max(PERIOD, SWING / (1 - gait.duty_of(gait.feet[0])))) * unit

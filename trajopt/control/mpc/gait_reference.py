@@ -10,14 +10,21 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.control.mpc.clock import GaitClock, Swing
-from trajopt.control.mpc.commands import Command
+from trajopt.control.mpc.commands import SPEEDS, Command
 from trajopt.control.mpc.ground import GroundEstimate
 from trajopt.control.mpc.reference import reference_layout
+from trajopt.dynamics.manifold import Coordinates
+from trajopt.dynamics.model_quantities import contact_jacobian
+from trajopt.robot.contact import Contact
 from trajopt.robot.kinematics import contact_positions
+from trajopt.robot.legs import wheel_rows
 from trajopt.robot.robot import Robot
+from trajopt.terrain.flat import FlatGround
 
 # Factor on a foot's level error at the end of its swing, relative to the error of its height.
 PULL = 0.2
+# Largest motion of a contact, per unit of the base's, that counts as rolling.
+ROLLS = 1e-3
 
 
 class RestingFeet:
@@ -29,6 +36,8 @@ class RestingFeet:
 
     ``hips`` (n, 3) are the positions of the feet relative to the base, m, ``radius`` (n,) their radii, m,
     ``numbers`` their indices among the contacts; ``standing`` is the height of the base above the ground, m.
+    ``stable`` says whether they have three points to stand on, ``rolling`` which `SPEEDS` they permit by
+    rolling alone; ``posture`` (nj,) are the angles of the joints, ``wheels`` their `wheel_rows`.
     """
 
     def __init__(self, robot: Robot, names: Sequence[str]) -> None:
@@ -40,6 +49,20 @@ class RestingFeet:
         self.numbers = [robot.contacts.index(contact) for contact in contacts]
         self.soles = [contact.kind == "surface" for contact in contacts]
         self.standing = float(base[2] - np.min(places[:, 2] - self.radius))
+        self.stable = sum(len(contact.corners) for contact in contacts) >= 3
+        node = Coordinates(robot.model).node_from_pinocchio(robot.reference, np.zeros(robot.nv))
+        self.posture, self.wheels = node[7 : robot.nv + 1], wheel_rows(robot)
+        self.rolling = self._rolling(contacts)
+
+    def _rolling(self, contacts: Sequence[Contact]) -> tuple[str, ...]:
+        """Speeds of a command that the base may have while legs keep their posture and only wheels turn."""
+        robot = self.robot
+        places = [(contact.frame, contact.rows) for contact in contacts]
+        levers = [contact.lever(FlatGround().surface) for contact in contacts]
+        jacobian = contact_jacobian(robot.model, robot.reference, places, levers)
+        wheels, moved = jacobian[:, list(self.wheels.values())], jacobian[:, [0, 1, 5]]
+        held = moved - wheels @ np.linalg.lstsq(wheels, moved, rcond=None)[0]
+        return tuple(name for name, rows in zip(SPEEDS, held.T, strict=True) if np.abs(rows).max() < ROLLS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,10 +92,10 @@ class GaitReference:
     def foothold(self, number: int, time: float) -> np.ndarray:
         """Foothold (2,) of a foot that lands ``time`` s from now, m: below its hip in mid stance."""
         along, left = self._axes(np.array(time))
-        level = self.command.speed * along + self.command.lateral * left
-        hip = self.feet.hips[number]
-        goal = self.base[:2] + level * (time + self.half_stance) + hip[0] * along + hip[1] * left
-        return np.asarray(goal)
+        stance = 0.0 if self.feet.names[number] in self.feet.wheels else self.half_stance
+        ahead = self.command.speed * (time + stance), self.command.lateral * (time + self.half_stance)
+        x, y = self.feet.hips[number][:2] + ahead
+        return np.asarray(self.base[:2] + x * along + y * left)
 
     def rows(self, times: np.ndarray) -> np.ndarray:
         """The reference (n, size) at times (n,) from now, s."""
@@ -86,7 +109,7 @@ class GaitReference:
         rows[:, at.velocity] = np.column_stack([level, level @ ground.slope])
         rows[:, at.quaternion] = self._quaternions(times)
         rows[:, at.spin.stop - 1] = command.turn_rate
-        rows[:, at.posture] = robot.reference[7:]
+        rows[:, at.posture] = self.feet.posture
         for number, name in enumerate(self.feet.names):
             lift, foot = self.lifts[self.feet.soles[number]], at.foot(self.feet.numbers[number]).start
             for swing in self.swings[name]:

@@ -151,8 +151,9 @@ class HorizonPlanner:
         before, horizon.durations = float(horizon.durations[0]), durations
         iterate, steps = self._start(horizon, before)
         if iterate is not None:
-            quaternion = iterate["x"][:4]
-            start[:4] *= 1.0 if start[:4] @ quaternion >= 0 else -1.0
+            node = horizon.layout.node(0)
+            last_start = iterate["x"][node] * horizon.transcription.scale[node]
+            start = horizon.layout.coordinates.continued(start, last_start)
         horizon.set_start(start)
         horizon.set_heights(self._landing_heights(horizon, reference, durations))
         horizon.soften_landing(durations[0] / (SOFT * self.clock.period))

@@ -23,6 +23,7 @@ from typing_extensions import override
 from trajopt.arguments import NonNegative, checked
 from trajopt.control.mpc.horizon import Numbers
 from trajopt.dynamics.rotations import quaternion_product, rotation_matrix
+from trajopt.robot.legs import wheel_rows
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.terms.context import Context
@@ -115,13 +116,15 @@ class ReferenceCost(Cost):
         conjugate = r[at.quaternion] * ca.SX([-1, -1, -1, 1])
         turn = 2 * quaternion_product(conjugate, context.q[3:7])[:3]
         level, spin = [w.velocity, w.velocity, w.rise], [w.spin] * 3
+        held = np.ones(at.joints)
+        held[[row - 6 for row in wheel_rows(robot).values()]] = 0.0  # wheels turn freely
         parts: list[tuple[ca.SX, list[float]]] = [
             ((context.xi[:3] - r[at.position]) / units.length, [w.position, w.position, w.height]),
             (turn, [w.tilt, w.tilt, w.heading]),
             ((context.dxi[:3] - r[at.velocity]) / units.velocity[0], level),
             ((context.dxi[3:6] - r[at.spin]) * units.time, spin),
-            (context.xi[6:] - r[at.posture], [w.joints] * at.joints),
-            (context.dxi[6:] * units.time, [w.rates] * at.joints),
+            (context.xi[6:] - r[at.posture], list(w.joints * held)),
+            (context.dxi[6:] * units.time, list(w.rates * held)),
         ]
         for number, contact in enumerate(robot.contacts):
             if contact not in context.contacts:

@@ -144,7 +144,7 @@ def _require_fitting(robot: Robot, plan: Solution) -> None:
     """Raise `InputError` for a plan that cannot be replanned, or is of another robot."""
     if robot.base != "freeflyer":
         raise InputError(f"robot '{robot.name}' has a {robot.base} base", "allowed: a free one")
-    about, what = plan.description, f"the plan of '{plan.description.problem}' cannot be planned anew"
+    about, what = plan.description, f"the plan of '{plan.description.problem}' cannot be replanned"
     if about.actuation != "torque" or about.payloads or not plan.active.any() or robot.nu < robot.nv - 6:
         raise InputError(what, "allowed: torques at all joints, contacts, and no payloads")
     masses = [mass_of(model) for model in (plan.model, robot.model)]
@@ -154,7 +154,7 @@ def _require_fitting(robot: Robot, plan: Solution) -> None:
             f"the plan of '{about.robot}' has other joints, contacts or another mass than '{robot.name}'",
             "allowed: the robot of the plan",
         )
-    touched = touched_surfaces(plan, contact_places(plan).position)
+    touched = touched_surfaces(about, contact_places(plan).position, plan.phase)
     steep, held = touched.normal[:, :, 2] < 1.0 - LEVEL, touched.bilateral | touched.slides
     for kind, wrong in (("steep ground", steep), ("what they hold or slide along", held)):
         if (wrong & plan.active).any():

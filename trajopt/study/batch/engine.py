@@ -63,7 +63,9 @@ class StartTree:
         for members in _groups(cases):
             names = [name for name, value in cases[members[0]].values.items() if not isinstance(value, str)]
             numbers = np.array([[float(cases[i].values[name]) for name in names] for i in members])
-            for index, point in zip(members, _scaled(numbers), strict=True):
+            size = np.ptp(numbers, axis=0)
+            scaled = (numbers - numbers.min(axis=0)) / np.where(size > 0, size, 1.0)
+            for index, point in zip(members, scaled, strict=True):
                 self._points[index] = point
             self._grow(np.array(members), levels)
         self.order = [index for level in levels for index in sorted(level)]
@@ -111,9 +113,3 @@ def _groups(cases: Sequence[BatchCase]) -> list[list[int]]:
         words = (value if isinstance(value, str) else None for _, value in sorted(case.values.items()))
         groups.setdefault((case.problem, *sorted(case.values), *words), []).append(index)
     return list(groups.values())
-
-
-def _scaled(points: np.ndarray) -> np.ndarray:
-    """Points (n, d) scaled to the unit cube of their ranges."""
-    size = np.ptp(points, axis=0)
-    return np.asarray((points - points.min(axis=0)) / np.where(size > 0, size, 1.0))

@@ -177,7 +177,8 @@ def write_bands(path: Path, entries: Mapping[str, PairBands], versions: Mapping[
     """Write the table. Raises InputError if it cannot be written."""
     titles = [field.name for field in fields(PairBands)]
     rows = [titles] + [
-        [_text(value) for value in asdict(entry).values()] for _, entry in sorted(entries.items())
+        [f"{each:.{DIGITS}g}" if isinstance(each, float) else str(each) for each in asdict(entry).values()]
+        for _, entry in sorted(entries.items())
     ]
     widths = [max(len(row[column]) for row in rows) for column in range(len(titles))]
     head = [f"# {name}: {value}" for name, value in versions.items()]
@@ -186,7 +187,3 @@ def write_bands(path: Path, entries: Mapping[str, PairBands], versions: Mapping[
     ]
     with replacing(path) as unfinished:
         unfinished.write_text("\n".join([*head, *body]) + "\n", encoding="utf-8")
-
-
-def _text(value: object) -> str:
-    return f"{value:.{DIGITS}g}" if isinstance(value, float) else str(value)

@@ -109,10 +109,11 @@ def figures_of(session: DriveSession, q: np.ndarray) -> list[dict[str, Any]]:
     plans = session.driver.plans
     median, high = np.percentile(1e3 * np.array(plans.report.planning[-RECENT:] or [0.0]), [50, 99])
     relaxed = ", ".join(f"{name} {count}" for name, count in plans.report.relaxed.items() if count)
+    pace = session.clock.pace
     missed, made, anew = plans.report.missed, len(plans.report.planning), plans.report.anew
     return [
         _figure("simulated", f"{session.driven.passed:.1f} s"),
-        _figure("pace", f"{session.pace:.2f}, {session.behind:.1f} s behind", session.pace < SLOW),
+        _figure("pace", f"{pace:.2f}, {session.clock.behind:.1f} s behind", pace < SLOW),
         *_motion_figures(session, q),
         _figure("plans", f"{median:.1f} ms median, {high:.1f} at 99 %", high > 1e3 * plans.delay),
         _figure("late plans", f"{missed} of {made}", missed > 0),

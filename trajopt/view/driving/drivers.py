@@ -13,7 +13,7 @@ from typing_extensions import override
 
 from trajopt.collision import Obstacle
 from trajopt.control.mpc.arm import ArmController, ArmSettings
-from trajopt.control.mpc.commands import STAND, Command
+from trajopt.control.mpc.commands import SPEEDS, STAND, Command, CommandScript
 from trajopt.control.mpc.controller import Controller
 from trajopt.control.mpc.plans import Plans
 from trajopt.control.mpc.receding import ControllerSettings
@@ -21,8 +21,10 @@ from trajopt.errors import InputError, not_among, shown
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.robot.robot import Robot
 from trajopt.schedule.gaits import gait_names
-from trajopt.simulation.arm_drive import AXES, DELAY, PERIOD, ToolSteering
-from trajopt.simulation.lockstep import Steering
+from trajopt.simulation.arm_drive import AXES, DELAY, PERIOD, ArmDrive, ToolSteering, since
+from trajopt.simulation.driven_scene import DrivenScene
+from trajopt.simulation.lockstep import DrivenMotion, Steering
+from trajopt.simulation.simulated import SimulatedMotion
 
 # Gaits prepared by default, in seconds each; if a robot has none of them, its first MOST_GAITS.
 USUAL_GAITS, MOST_GAITS = ("trot", "walk", "pace"), 2
@@ -30,13 +32,13 @@ USUAL_GAITS, MOST_GAITS = ("trot", "walk", "pace"), 2
 # the speeds are scaled by CAREFUL.
 SPEED, LATERAL, TURN, HEIGHT = 0.6, 0.25, 0.25, 0.15
 FEET, CAREFUL = 4, 0.4
-# Gaits that lift one of four feet at a time are limited to this fraction of the speeds: faster ones fall.
-SLOW_GAITS, SLOW = ("walk", "amble"), 0.5
+# Gaits of four or more feet with long stances are limited to these fractions of the speeds: faster ones fall.
+SLOW = {"walk": 0.5, "amble": 0.5, "ripple": 0.5, "wave": 0.2}
 # Largest and initial push in units of weight times natural time.
 MOST_PUSH, USUAL_PUSH = 0.5, 0.1
 # Names of the sliders of a push.
 PUSH, DIRECTION = "push", "direction"
-GAIT, SPEEDS = "gait", ("speed", "lateral", "turn_rate")
+GAIT = "gait"
 # A browser rounds the ends of a slider: values this far beyond them are clipped.
 EDGE = 1e-9
 AnySteering = TypeVar("AnySteering", bound=Steering | ToolSteering)
@@ -104,6 +106,10 @@ class PageController(ABC, Generic[AnySteering]):
     def begin(self) -> None:
         """Restart with a fresh controller."""
 
+    @abstractmethod
+    def recorded(self, driven: DrivenScene) -> SimulatedMotion:
+        """The recorded drive since the last begin; its settings do not contain pushes on legs."""
+
     @property
     def plans(self) -> Plans:
         """The current plan, and figures of all plans."""
@@ -167,12 +173,11 @@ class LegsDriver(PageController[Steering]):
 
     @property
     def command(self) -> Command:
-        """The current command; speeds are zero in a stand and reduced in slow gaits."""
-        if self.gait == STAND:
-            return Command(height=self.values["height"])
-        slow = self.gait in SLOW_GAITS and len(self.robot.contacts) >= FEET
-        most = {each.name: (SLOW if slow else 1.0) * each.high for each in self.sliders}
-        speeds = {name: min(max(self.values[name], -most[name]), most[name]) for name in SPEEDS}
+        """The current command; speeds are zero in a stand, except on wheels, and reduced in slow gaits."""
+        part = SLOW.get(self.gait, 1.0) if len(self.robot.contacts) >= FEET else 1.0
+        most = {each.name: part * each.high for each in self.sliders}
+        names = self._made.rolling if self.gait == STAND else SPEEDS
+        speeds = {name: min(max(self.values[name], -most[name]), most[name]) for name in names}
         return Command(gait=self.gait, height=self.values["height"], **speeds)
 
     def _noted(self, time: float) -> Command:
@@ -187,6 +192,11 @@ class LegsDriver(PageController[Steering]):
         self.close()
         self.log: list[tuple[float, Command]] = []
         self.steering = Steering(self._made.fresh(), self._noted)
+
+    @override
+    def recorded(self, driven: DrivenScene) -> DrivenMotion:
+        script = CommandScript(*zip(*since(self.log, driven.offset), strict=True))
+        return DrivenMotion.of(driven, self.steering, script, driven.timeline.until(driven.row))
 
     @override
     def height(self, time: float) -> float:
@@ -234,6 +244,10 @@ class ArmDriver(PageController[ToolSteering]):
     def begin(self) -> None:
         self.close()
         self.steering = ToolSteering(self._made.fresh(), self._goal)
+
+    @override
+    def recorded(self, driven: DrivenScene) -> ArmDrive:
+        return ArmDrive.of(driven, self.steering)
 
     def _goal(self, time: float) -> np.ndarray:
         return np.array([self.values[axis] for axis in AXES])

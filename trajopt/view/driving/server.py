@@ -19,9 +19,8 @@ import umsgpack
 from tornado.httpserver import HTTPServer
 from typing_extensions import override
 
-from trajopt.errors import InputError
+from trajopt.errors import InputError, without_nonfinite
 from trajopt.view.replay.commands import ViewerCommand
-from trajopt.view.replay.page import without_nonfinite
 from trajopt.view.replay.server import HOST, OWN, Nothing
 
 # Ports tried by default, and the largest port number.

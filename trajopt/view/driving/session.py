@@ -1,66 +1,33 @@
-"""A drive in real time: short stretches of physics paced by the wall clock.
-
-Delays beyond `CATCH` are not caught up: simulated time falls behind, and the page shows by how much.
-"""
+"""A drive from a page: its messages, its simulation by a clock, and its record."""
 
 from __future__ import annotations
 
 import math
-import time
 from collections import deque
-from typing import Any, Protocol
+from typing import Any
 
-from trajopt.control.mpc.commands import CommandScript
 from trajopt.errors import InputError, not_among, shown
-from trajopt.simulation.arm_drive import RATE, ArmDrive, since
+from trajopt.simulation.arm_drive import RATE
+from trajopt.simulation.clock import WallClock
 from trajopt.simulation.driven_scene import DrivenScene
-from trajopt.simulation.lockstep import DrivenMotion
 from trajopt.simulation.push import DURATION
 from trajopt.simulation.settings import Impulse, SimulationSettings
-from trajopt.simulation.simulated import simulated_solution
-from trajopt.view.driving.drivers import DIRECTION, PUSH, ArmDriver, LegsDriver, PageController
+from trajopt.simulation.simulated import SimulatedMotion
+from trajopt.view.driving.drivers import DIRECTION, PUSH, LegsDriver, PageController
 
-# Physics per turn of the loop, s.
-STRETCH = 0.02
 # Longest record kept for a file, s.
 KEPT = 60.0
-# Largest delay that is caught up, s; time without a message after which the page counts as gone, s.
-CATCH, SILENCE = 0.1, 2.0
-# Window over which the pace is measured, s.
-WINDOW = 1.0
+# Time without a message after which the page counts as gone, s.
+SILENCE = 2.0
 ACTION, RESET = "action", "reset"
 
 
-class Clock(Protocol):
-    """The clock by which a session measures time and waits."""
-
-    def now(self) -> float:
-        """Time since an arbitrary origin, s."""
-        ...
-
-    def sleep(self, seconds: float) -> None:
-        """Wait."""
-        ...
-
-
-class WallClock:
-    """The machine's clock."""
-
-    def now(self) -> float:
-        """Time, s."""
-        return time.monotonic()
-
-    def sleep(self, seconds: float) -> None:
-        """Wait."""
-        time.sleep(seconds)
-
-
 class DriveSession:
-    """A robot in MuJoCo that is steered by a driver and simulated turn by turn.
+    """A robot in MuJoCo that is steered by a driver.
 
     Args:
         driver: the robot and its controller.
-        clock: default: that of the machine.
+        clock: of real time; default: that of the machine.
         keep: length of the record, s; at least its last half can be saved.
         hardware: fields of `SimulationSettings`; feet with a radius roll by default, and ``control_rate`` is
             `RATE` Hz.
@@ -68,7 +35,6 @@ class DriveSession:
     Attributes:
         driven: the simulation since the last begin.
         stand: the robot at rest at the start.
-        behind: time by which simulated time has fallen behind, s.
         silent: whether the page was connected and is gone.
 
     Raises:
@@ -79,7 +45,7 @@ class DriveSession:
         self,
         driver: PageController[Any],
         *,
-        clock: Clock | None = None,
+        clock: WallClock | None = None,
         keep: float = KEPT,
         **hardware: Any,
     ) -> None:
@@ -88,11 +54,10 @@ class DriveSession:
         self.driven = DrivenScene(driver.robot, settings, keep, obstacles=driver.obstacles)
         self._actions: deque[str] = deque()
         self._heard: float | None = None
-        self.silent, self.behind = False, 0.0
+        self.silent = False
         self.reset()
-        self.stand = simulated_solution(
-            self.driven.scene, self.driven.timeline, self.driven.record.until(1), None
-        )
+        begun = self.driven.motion_fields(self.driven.timeline, self.driven.record.until(1))
+        self.stand = SimulatedMotion(**begun).as_solution()
 
     def obey(self, message: Any) -> None:
         """Handle a message of the page, from any thread: values to set, and an action, "push" or "reset".
@@ -117,40 +82,17 @@ class DriveSession:
         self.driver.stand()
         self.driver.begin()
         self.driven.begin(self.driver.steering, self.driver.height)
-        self._marks: deque[tuple[float, float]] = deque([(self.clock.now(), 0.0)])
-        self._origin = self.clock.now()
+        self.clock.begin()
 
-    def turn(self) -> None:
-        """Carry out pending actions and simulate a stretch; a fallen robot stays as it is."""
+    def ticks(self, driven: DrivenScene) -> int:
+        """The ticks that the clock lets pass now, after pending actions; a `Clock` of the page."""
+        count = self.clock.ticks(driven)
         while self._actions:
             self.reset() if self._actions.popleft() == RESET else self._begin_push()
         if self._heard is not None and not self.silent and self.clock.now() - self._heard > SILENCE:
             self.driver.stand()
             self.silent = True
-        if self.driven.fall is None:
-            self.driven.advance(max(1, round(STRETCH / self.driven.timeline.period)))
-
-    def wait(self) -> None:
-        """Sleep until the wall clock reaches simulated time; a delay beyond `CATCH` s is given up."""
-        now = self.clock.now()
-        if self.driven.fall is not None:
-            self._origin = now - self.driven.passed
-            self.clock.sleep(STRETCH)
-            return
-        ahead = self._origin + self.driven.passed - now
-        if ahead > 0:
-            self.clock.sleep(ahead)
-        elif -ahead > CATCH:
-            self._origin, self.behind = self._origin - ahead - CATCH, self.behind - ahead - CATCH
-        self._marks.append((self.clock.now(), self.driven.passed))
-        while len(self._marks) > 2 and self._marks[-1][0] - self._marks[0][0] > WINDOW:
-            self._marks.popleft()
-
-    @property
-    def pace(self) -> float:
-        """Ratio of simulated to real time over the last `WINDOW` s."""
-        (begin, before), (end, after) = self._marks[0], self._marks[-1]
-        return (after - before) / (end - begin) if end > begin else 1.0
+        return count
 
     def _begin_push(self) -> None:
         """Begin the level push on the base that the page has set; it ends an earlier one."""
@@ -164,20 +106,15 @@ class DriveSession:
             ),
         )
 
-    def as_drive(self) -> DrivenMotion | ArmDrive:
+    def as_drive(self) -> SimulatedMotion:
         """The recorded drive since the last begin; its settings do not contain pushes on legs.
 
         Raises:
             InputError: if nothing was simulated.
         """
-        driver, driven = self.driver, self.driven
-        if driven.row < 2:
+        if self.driven.row < 2:
             raise InputError("nothing was simulated", "allowed: a drive of some time")
-        if isinstance(driver, ArmDriver):
-            return ArmDrive.of(driven, driver.steering)
-        assert isinstance(driver, LegsDriver)
-        script = CommandScript(*zip(*since(driver.log, driven.offset), strict=True))
-        return DrivenMotion.of(driven, driver.steering, script, driven.timeline.until(driven.row))
+        return self.driver.recorded(self.driven)
 
     def close(self) -> None:
         """Stop the planning thread."""

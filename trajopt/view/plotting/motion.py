@@ -9,11 +9,11 @@ import pinocchio as pin
 from trajopt.collision.near import GROUND
 from trajopt.dynamics.base_joint import BASE_JOINT
 from trajopt.dynamics.virtual_base import angles_of
-from trajopt.motion.carried import payload_wrenches
 from trajopt.motion.quantities import MotionQuantities
+from trajopt.motion.samples import payload_wrenches
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.actuators.on_robot import drive_torque_values
-from trajopt.robot.sole import centre_of_pressure
+from trajopt.robot.contact import centre_of_pressure
 from trajopt.view.replay.motion import LEAST_PRESSURE
 
 # Maps model, data, q and v to an array.

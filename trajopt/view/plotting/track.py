@@ -13,8 +13,8 @@ from trajopt.certify.accuracy.open_loop import interval_drifts
 from trajopt.certify.check import check
 from trajopt.certify.report import CheckReport
 from trajopt.errors import InputError, TrajoptError
+from trajopt.motion.configurations import resampled, sample_interval
 from trajopt.motion.interpolation import MotionSample
-from trajopt.motion.resampling import resampled, sample_interval
 from trajopt.motion.solution import Solution
 from trajopt.view.plotting import style
 from trajopt.view.plotting.joints import JointAxis, axes_of

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from trajopt.arguments import checked
-from trajopt.certify.accuracy.table import accuracy_figures
-from trajopt.certify.report import MeasuredFigure
+from trajopt.certify.figures import MeasuredFigure
 from trajopt.errors import InputError, not_among
 from trajopt.motion.energy_use import cost_of_transport, energy
 from trajopt.motion.input import solutions_of
@@ -263,7 +262,7 @@ def html_tables(tracks: Sequence[Track]) -> list[str]:
         if any(of[name] for of in facts)
     ]
     reports = [track.report.figures() if track.report else () for track in tracks]
-    measured = [accuracy_figures(track.accuracy) if track.accuracy else () for track in tracks]
+    measured = [track.accuracy.figures() if track.accuracy else () for track in tracks]
     names = [track.label for track in tracks] if len(tracks) > 1 else []
     tables = [_table("solution", rows, names)]
     if any(reports):

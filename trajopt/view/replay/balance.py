@@ -22,9 +22,8 @@ import pinocchio as pin
 
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.dynamics.model_quantities import mass_of
-from trajopt.motion.carried import carrying_model
 from trajopt.motion.solution import Solution
-from trajopt.robot.sole import centre_of_pressure
+from trajopt.robot.contact import centre_of_pressure
 from trajopt.terrain.bodies import outline
 from trajopt.terrain.surface import SAME_PLANE, UP, Surface, frame_of_normal
 from trajopt.view.replay import parts
@@ -80,7 +79,7 @@ def balance_of(solution: Solution, motion: ReplayMotion) -> BalanceTrack:
     """Return the balance of a motion. Raises `SolutionFileError`."""
     com = np.empty((motion.n_frames, 3))  # of the robot with its payload
     for phase in np.unique(motion.phase):
-        model = carrying_model(solution, int(phase))
+        model = solution.carrying_model(int(phase))
         data = model.createData()
         for row in np.flatnonzero(motion.phase == phase):
             com[row] = pin.centerOfMass(model, data, motion.q[row], False)
@@ -101,7 +100,7 @@ def outer_wrenches(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
     """External force (K, 3) N and moment about the world's origin (K, 3) N m at the samples."""
     force, moment, com = np.empty((3, solution.n_samples, 3))
     for phase in np.unique(solution.phase):
-        model = carrying_model(solution, int(phase))
+        model = solution.carrying_model(int(phase))
         data, weight = model.createData(), mass_of(model) * model.gravity.linear
         for row in np.flatnonzero(solution.phase == phase):
             state = (solution.q[row], solution.v[row], solution.a[row])

@@ -8,13 +8,13 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.collision.coal_shapes import thicken
+from trajopt.collision.description import box_of_inertia
 from trajopt.collision.shapes import BoxObstacle, Obstacle, box_corners
 from trajopt.motion.description import CarriedBody
 from trajopt.motion.solution import Solution
 from trajopt.terrain.bodies import convex_hull
 from trajopt.view.replay.commands import Animation, hold_while_hidden, without_shadow
 from trajopt.view.replay.parts import ColouredMeshGeometry, colour_array, draw_capsule
-from trajopt.view.replay.robot import box_of_inertia
 from trajopt.view.replay.runs import DrawnSolution
 
 OBSTACLE_COLOUR, OBSTACLE_OPACITY = 0xC1553B, 0.75

@@ -10,7 +10,7 @@ from pinocchio.visualize.meshcat_visualizer import Plane
 
 from trajopt.collision.shapes import box_corners
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
-from trajopt.terrain.bodies import extruded
+from trajopt.terrain.bodies import solids_within
 from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.terrain.smooth import SmoothTerrain
 from trajopt.terrain.surface import Surface
@@ -207,25 +207,22 @@ def _draw_sky_and_light(vis: Any, size: float) -> None:
 
 
 def _draw_faces(node: Any, terrain: PiecewiseTerrain, area: np.ndarray, drop: float, size: float) -> None:
-    seen = [(face.surface, corners) for face in terrain.faces if len(corners := face.within(*area)) >= 3]
-    bottom = min([corners[:, 2].min() for _, corners in seen], default=0.0) - drop - DEPTH * size
     planes: list[Surface] = []
     material = shapes.MeshLambertMaterial(vertexColors=True)
-    for number, (plane, corners) in enumerate(seen):
-        top = corners - drop * parts.UPWARD
+    for number, (face, solid) in enumerate(solids_within(terrain, area[0], area[1], DEPTH * size)):
+        plane, (top, under) = face.surface, np.split(solid - drop * parts.UPWARD, 2)
         place = next((i for i, other in enumerate(planes) if plane.same_plane(other)), len(planes))
         if place == len(planes):
             planes.append(plane)
-        block = _block(top, bottom, GROUND_TINTS[place % len(GROUND_TINTS)])
+        block = _block(top, under, GROUND_TINTS[place % len(GROUND_TINTS)])
         node[f"face{number}"].set_object(block, material)
         outline = parts.line_points(np.vstack([top, top[:1]]) + LINE_LIFT * size * parts.UPWARD)
         edge = shapes.Line(outline, shapes.LineBasicMaterial(color=GRID_STRONG))
         node[f"edge{number}"].set_object(edge)
 
 
-def _block(top: np.ndarray, bottom: float, colour: int) -> parts.ColouredMeshGeometry:
-    """A prism under a convex polygon (k, 3): its top in ``colour``, darker walls down to ``bottom`` m."""
-    under = extruded(top, bottom)[len(top) :]
+def _block(top: np.ndarray, under: np.ndarray, colour: int) -> parts.ColouredMeshGeometry:
+    """A prism under a convex polygon (k, 3): its top in ``colour``, darker walls down to ``under`` (k, 3)."""
     tone = parts.colour_array(colour)
     faces: list[parts.MeshPart] = [(top, _normal(top), tone, parts.fan(len(top)))]
     for i in range(len(top)):  # walls do not share corners, so that each is shaded flat

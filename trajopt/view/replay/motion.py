@@ -10,8 +10,8 @@ from trajopt.dynamics.model_quantities import gravity_of, mass_of
 from trajopt.errors import InputError, is_number
 from trajopt.motion.configurations import geodesic_configurations
 from trajopt.motion.solution import Solution
-from trajopt.motion.touched import TouchedSurfaces, held_samples, touched_surfaces
-from trajopt.robot.sole import centre_of_pressure
+from trajopt.motion.touched import TouchedSurfaces, held_contacts, touched_surfaces
+from trajopt.robot.contact import centre_of_pressure
 
 # Pictures a second of playback: what screens show.
 FRAME_RATE = 60.0
@@ -148,10 +148,9 @@ def replay_motions(solutions: Sequence[Solution], speed: float = 1.0) -> list[Re
 
 def _resampled(solution: Solution, t: np.ndarray, frame_rate: float, speed: float) -> ReplayMotion:
     q = geodesic_configurations(solution, t)
-    frames = [solution.model.getFrameId(name) for name in solution.contact_frames]
-    joints, contacts = placements(solution.model, frames, q)
+    joints, contacts = placements(solution.model, solution.contact_ids, q)
     last, part = spans(solution.t, t)
-    surfaces = touched_surfaces(solution, contacts[:, :, :3, 3], solution.phase[last])
+    surfaces = touched_surfaces(solution.description, contacts[:, :, :3, 3], solution.phase[last])
     contacts[:, :, :3, 3] = surfaces.touching(contacts[:, :, :3, 3])
     mass = mass_of(solution.model)
     return ReplayMotion(
@@ -165,7 +164,7 @@ def _resampled(solution: Solution, t: np.ndarray, frame_rate: float, speed: floa
         wrench=(1 - part)[:, None, None] * solution.f[last] + part[:, None, None] * solution.f[last + 1],
         impact=_impacts(solution, t),
         active=solution.active[last],
-        soles=(~held_samples(solution) & solution.description.soles)[last],
+        soles=~held_contacts(solution.description, solution.phase[last]) & solution.description.soles,
         last=last,
         part=part,
         phase=solution.phase[last],

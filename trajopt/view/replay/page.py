@@ -5,7 +5,6 @@ import gzip
 import hashlib
 import html
 import json
-import math
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import Any
 import meshcat
 import umsgpack
 
-from trajopt.errors import TrajoptError
+from trajopt.errors import TrajoptError, without_nonfinite
 from trajopt.view.replay.meshes import compact_geometry
 from trajopt.view.replay.scene import ReplayScene
 
@@ -65,7 +64,8 @@ def live_page(facts: dict[str, Any], source: PageSource = REPLAY) -> str:
 
 
 def _text(source: PageSource, facts: dict[str, Any], allowed: dict[str, str], scene: bytes) -> str:
-    player = _player(source.scripts)
+    code = "\n".join(path.read_text(encoding="utf-8") for path in source.scripts)
+    player = f'\n(() => {{\n"use strict";\n{code}}})();\n'  # isolated from the rest of the page
     digest = _base64(hashlib.sha256(player.encode()).digest())
     viewer, licence = _viewer()
     return Template((WEB / "page.html").read_text(encoding="utf-8")).substitute(
@@ -83,13 +83,6 @@ def _text(source: PageSource, facts: dict[str, Any], allowed: dict[str, str], sc
 
 
 @cache
-def _player(scripts: tuple[Path, ...]) -> str:
-    """The player's code in a strict function, isolated from the rest of the page."""
-    code = "\n".join(path.read_text(encoding="utf-8") for path in scripts)
-    return f'\n(() => {{\n"use strict";\n{code}}})();\n'
-
-
-@cache
 def _viewer() -> tuple[str, str]:
     """Meshcat's viewer, compressed, and its licence."""
     try:
@@ -102,15 +95,6 @@ def _viewer() -> tuple[str, str]:
 
 def _base64(data: bytes) -> str:
     return base64.b64encode(data).decode("ascii")
-
-
-def without_nonfinite(value: object) -> object:
-    """Return a JSON-able value with None for non-finite numbers."""
-    if isinstance(value, dict):
-        return {str(key): without_nonfinite(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [without_nonfinite(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def packed_scene(scene: ReplayScene) -> bytes:

@@ -13,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 from pinocchio.visualize.meshcat_visualizer import MeshcatVisualizer, loadMesh
 
+from trajopt.collision.description import box_of_inertia
 from trajopt.collision.shapes import box_corners
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.errors import InputError
@@ -27,8 +28,6 @@ BONE_COLOUR, JOINT_COLOUR, FOOT_COLOUR = 0x8A93A0, 0x2F6DB5, 0x303438
 # Radii of a skeleton over its reach.
 BONE_RADIUS, JOINT_RADIUS = 0.012, 0.02
 TRUNK_OPACITY = 0.7
-# The thinnest side of a box over its longest: flat links stay visible.
-THINNEST = 0.02
 # Points that represent a mesh's extent: some have a million vertices, tenths of a millimetre apart.
 MOST_POINTS = 10_000
 # Directions in which the extent of a round shape is sampled, to 2 % of its radius.
@@ -195,21 +194,6 @@ def draw_skeleton(vis: Any, solution: Solution) -> DrawnRobot:
         corners = box_corners(-sides / 2, sides / 2)
         drawn.points[base].append(corners @ place.rotation.T + place.translation)
     return drawn
-
-
-def box_of_inertia(inertia: pin.Inertia) -> tuple[np.ndarray, pin.SE3] | None:
-    """Sides (3,) m and placement of the solid box of that mass and inertia; None for a point or no mass.
-
-    I_1 = m (b^2 + c^2) / 12 and so on in turn, for the sides a, b, c along the principal axes.
-    """
-    if not inertia.mass > 0:
-        return None
-    moments, axes = np.linalg.eigh(inertia.inertia)
-    axes[:, 2] *= np.sign(np.linalg.det(axes))
-    sides = np.sqrt(np.maximum(6 * (moments.sum() - 2 * moments) / inertia.mass, 0.0))
-    if not sides.max() > 0:
-        return None
-    return np.maximum(sides, THINNEST * sides.max()), pin.SE3(axes, inertia.lever)
 
 
 def _rods(solution: Solution, base: int) -> list[tuple[int, np.ndarray, bool]]:

@@ -17,13 +17,13 @@ from typing import Any
 from meshcat.visualizer import ViewerWindow
 
 from trajopt.arguments import checked
-from trajopt.errors import TrajoptError
+from trajopt.errors import TrajoptError, without_nonfinite
 from trajopt.motion.input import SolutionOrFile, require_motion, solutions_of
 from trajopt.motion.output import check_output, replacing
 from trajopt.view.replay import server
 from trajopt.view.replay.commands import ViewerCommand
 from trajopt.view.replay.motion import replay_motions
-from trajopt.view.replay.page import live_page, page, without_nonfinite
+from trajopt.view.replay.page import live_page, page
 from trajopt.view.replay.scene import build_scene
 
 # Interval between checks whether to stop the server, s.

@@ -8,7 +8,7 @@ import numpy as np
 
 from trajopt.motion.solution import Solution
 from trajopt.terrain.piecewise import PiecewiseTerrain
-from trajopt.terrain.surface import UP, Surface, frame_of_normal
+from trajopt.terrain.surface import UP, Surface, by_plane, frame_of_normal
 from trajopt.view.replay.parts import UPRIGHT, draw_unshadowed, placed
 from trajopt.view.replay.runs import DrawnSolution
 
@@ -60,18 +60,12 @@ def touches_of(run: DrawnSolution) -> tuple[list[Touch], list[Touch]]:
     A contact whose own surface is the terrain's plane touches the terrain, unless that surface is bilateral.
     """
     solution, motion = run.solution, run.motion
-    terrain, by_phase = plane_of(solution), solution.description.surfaces
-    described = solution.description.ground
-    faces = described.faces if isinstance(described, PiecewiseTerrain) else ()
-    planes = [terrain, *(face.surface for face in faces)]
-    on_terrain, elsewhere = motion.active.copy(), []
-    for phase, surfaces in enumerate(by_phase):
-        for frame, surface in surfaces.items():
-            contact = solution.contact_frames.index(frame)
-            rows = motion.active[:, contact] & (motion.phase == phase)
-            if rows.any() and (surface.bilateral or not any(surface.same_plane(plane) for plane in planes)):
-                elsewhere.append(Touch(surface=surface, contact=contact, rows=rows))
-                on_terrain[rows, contact] = False
+    terrain, on_terrain, elsewhere = plane_of(solution), motion.active.copy(), []
+    for phase, contact, surface in solution.description.separate_surfaces:
+        rows = motion.active[:, contact] & (motion.phase == phase)
+        if rows.any() and (surface.bilateral or not surface.same_plane(terrain)):
+            elsewhere.append(Touch(surface=surface, contact=contact, rows=rows))
+            on_terrain[rows, contact] = False
     standing = [
         Touch(surface=terrain, contact=contact, rows=rows)
         for contact, rows in enumerate(on_terrain.T)
@@ -118,7 +112,8 @@ def draw_surfaces(run: DrawnSolution, touches: list[Touch], size: float) -> np.n
     Returns the corners of the patches and the positions of the handles (k, 3), m, for the camera.
     """
     places, motion, vis = [np.zeros((0, 3))], run.motion, run.node["surfaces"]
-    for number, group in enumerate(_by_plane([touch for touch in touches if not touch.surface.bilateral])):
+    unilateral = [touch for touch in touches if not touch.surface.bilateral]
+    for number, group in enumerate(by_plane(unilateral, lambda touch: touch.surface)):
         plane = drawn_plane(group, run, size)
         points = np.concatenate([motion.feet[touch.rows, touch.contact] for touch in group])
         places.append(_patch(vis[f"patch{number}"], plane, points, size))
@@ -130,17 +125,6 @@ def draw_surfaces(run: DrawnSolution, touches: list[Touch], size: float) -> np.n
                 _handle(vis[f"handle{len(handles)}"], touch.surface, place, size)
                 handles.append(place)
     return np.concatenate([*places, np.reshape(handles, (-1, 3))])
-
-
-def _by_plane(touches: list[Touch]) -> list[list[Touch]]:
-    groups: list[list[Touch]] = []
-    for touch in touches:
-        same = [group for group in groups if group[0].surface.same_plane(touch.surface)]
-        if same:
-            same[0].append(touch)
-        else:
-            groups.append([touch])
-    return groups
 
 
 def _patch(node: Any, plane: Surface, points: np.ndarray, size: float) -> np.ndarray:

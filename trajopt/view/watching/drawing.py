@@ -123,8 +123,7 @@ class IterateScene:
         """The scene of a problem: its robot, ground, obstacles, light and camera; poses to be moved."""
         solution = iterate.solution()
         self._model, self._problem = solution.model, iterate.transcription.problem
-        named = [self._model.getFrameId(name) for name in solution.contact_frames]
-        self._frames = named or tip_frames(self._model)
+        self._frames = solution.contact_ids or tip_frames(self._model)
         still, self._facts = still_scene(solution)
         self._facts |= {"title": f"solving {title(solution)}"}
         recorder.commands += [ViewerCommand({"type": "delete", "path": TOP}), *still]

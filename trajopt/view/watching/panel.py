@@ -41,24 +41,17 @@ def sparkline(values: Sequence[float], width: int, *, linear: bool = False, bloc
     """
     if width < 1 or not values:
         return ""
-    levels = [value if linear else _level(value) for value in _binned(values, width)]
+    count = min(width, len(values))
+    edges = [round(i * len(values) / count) for i in range(count + 1)]
+    runs = [values[low:high] for low, high in itertools.pairwise(edges)]
+    levels = [math.nan if any(map(math.isnan, run)) else max(run) for run in runs]
+    if not linear:
+        levels = [math.log10(v) if v > 0 else -math.inf if v == 0 else math.nan for v in levels]
     known = [level for level in levels if math.isfinite(level)]
     high = max(known, default=0.0)
     least = FLAT * abs(high) if linear else LEAST_DECADES
     low = min(min(known, default=0.0), high - least)
     return "".join(_block(level, low, high, blocks) for level in levels)
-
-
-def _binned(values: Sequence[float], width: int) -> list[float]:
-    """At most ``width`` values, each the largest of a run; NaN if the run contains one."""
-    count = min(width, len(values))
-    edges = [round(i * len(values) / count) for i in range(count + 1)]
-    runs = [values[low:high] for low, high in itertools.pairwise(edges)]
-    return [math.nan if any(math.isnan(value) for value in run) else max(run) for run in runs]
-
-
-def _level(value: float) -> float:
-    return math.log10(value) if value > 0 else -math.inf if value == 0 else math.nan
 
 
 def _block(level: float, low: float, high: float, blocks: str) -> str:
