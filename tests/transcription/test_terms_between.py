@@ -190,10 +190,10 @@ def test_the_rate_of_an_expression_is_its_slope_along_the_motion(name):
     problem = trajopt.load(name)
     added = replace(problem, terms=(*problem.terms, Own(made=along)))
     prepared = prepare(added, transcription="legendre:3", intervals=6)
-    t, x = (
-        prepared.transcription,
-        prepared.guess + 0.05 * np.random.default_rng(0).normal(size=len(prepared.guess)),
-    )
+    t, noise = prepared.transcription, 0.05 * np.random.default_rng(0).normal(size=len(prepared.guess))
+    for node, form in enumerate(t.layout.forms):
+        noise[t.layout.node(node).start + form.rotations] = 0.0  # quaternions have the length 1
+    x = prepared.guess + noise
     parts = prepared.nlp.parts["groups"][0]
     group = t.groups[0]
     stage = int(group.stages[0])

@@ -186,7 +186,7 @@ class TermFunctions:
         elif result is None:
             return None
         else:
-            own = type(term).value not in (Cost.value, NodeCost.value)
+            own = getattr(type(term), "value", None) not in (Cost.value, NodeCost.value)
             expression = result
             states = result.is_zero() and (own or context.squares[0].numel() > before)
         if states or context.varies(expression):
