@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from tests.support.solved_problems import motion
 from tests.support.synthetic_motions import planar_flight, pushing_off, sampled, tumbling_flight, with_meta
 from trajopt import InputError, Robot, Solution, check
 from trajopt.certify.report import FIGURES, OPEN_LOOP, Tolerances
@@ -285,3 +286,17 @@ def test_check_does_not_use_casadi(stance, monkeypatch):
     for name in ("SX", "MX", "DM", "Function"):
         monkeypatch.setattr(casadi, name, refuse)
     assert check(stance).ok
+
+
+def test_a_torque_that_chatters_is_said_with_its_joint():
+    smooth = motion("ur5-reach")
+    report = check(smooth)
+    rough = smooth.tau.copy()
+    limit = smooth.description.effort_limit[2]
+    rough[:, 2] += 0.4 * limit * (-1.0) ** np.arange(len(rough))
+    found = check(replace(smooth, tau=rough))
+    assert report.chatter == ""
+    assert report.torque_variation < 2
+    assert found.torque_variation == pytest.approx(0.8 * (len(rough) - 1), rel=0.1)
+    assert found.torque_reversals == len(rough) - 2
+    assert f"the torque of {smooth.model.names[3]} changes by" in found.table()

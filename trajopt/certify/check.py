@@ -1,5 +1,6 @@
 """Check a solution: recompute everything that it claims with numeric Pinocchio alone."""
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -30,7 +31,7 @@ from trajopt.motion.quantities import MotionQuantities
 from trajopt.motion.samples import largest, largest_known
 from trajopt.motion.solution import Solution
 from trajopt.motion.statistics import TermExcess
-from trajopt.motion.traces import Occurrence, Trace, Traces
+from trajopt.motion.traces import Occurrence, Trace, Traces, names_of_inputs
 
 # Smallest scale of angular momentum, as a fraction of m l sqrt(g l) for a robot of mass m and reach l.
 QUIET_MOMENTUM = 1e-2
@@ -59,6 +60,8 @@ HELD = (
     *("foot_drift", "stance_drift", "foot_turn", "sole_tilt"),
 )
 WHOLE_BODY = ("base_residual", "actuated_residual", "local_position", "local_joints")
+# A torque turns where it reverses by more than this fraction of its limit.
+LEAST_TURN = 0.01
 # Figures that grow along a phase: a finer mesh in the whole phase reduces them.
 DRIFTS = ("foot_drift", "stance_drift", "foot_turn")
 # Figures that a finer mesh does not reduce.
@@ -200,6 +203,7 @@ def _report(
     worst: dict[str, tuple[float, Occurrence] | None],
     phases: tuple[PhaseReport, ...],
 ) -> CheckReport:
+    worst |= _smoothness(motion.solution)
     stated = motion.solution.statistics.terms_between
     term = max(stated, key=lambda entry: entry.excess, default=None)
     place = None if term is None else Occurrence(time=term.time, phase=term.phase, name=term.term)
@@ -220,6 +224,28 @@ def _report(
             **_places_of_phases(phases),
         },
     )
+
+
+def _smoothness(plan: Solution) -> dict[str, tuple[float, Occurrence] | None]:
+    """Return the largest sum of changes of a torque, over its limit, and the number of its turns."""
+    limits = plan.description.effort_limit
+    rows = [] if limits is None else np.flatnonzero(np.isfinite(limits) & (limits > 0))
+    if limits is None or not len(rows) or not len(plan.tau):
+        return dict.fromkeys(("torque_variation", "torque_reversals"))
+    shares = plan.tau[:, rows] / limits[rows]
+    changes = np.abs(np.diff(shares, axis=0))
+    worst = int(np.argmax(changes.sum(axis=0)))
+    at = int(np.argmax(changes[:, worst], axis=0)) if len(changes) else 0
+    name = names_of_inputs(plan)[int(rows[worst])]
+    place = Occurrence(time=float(plan.t[at]), phase=plan.phase_names[int(plan.phase[at])], name=name)
+    turns, extreme, direction = 0, float(shares[0, worst]), 0.0
+    for share in shares[1:, worst].tolist():
+        if (share - extreme) * direction > 0 or (direction == 0 and abs(share - extreme) > LEAST_TURN):
+            direction, extreme = math.copysign(1.0, share - extreme), share
+        elif direction and abs(share - extreme) > LEAST_TURN:
+            turns, direction, extreme = turns + 1, -direction, share
+    sums = float(changes[:, worst].sum())
+    return {"torque_variation": (sums, place), "torque_reversals": (float(turns), place)}
 
 
 def _notes_of_terms(stated: Sequence[TermExcess]) -> Iterator[str]:

@@ -20,6 +20,8 @@ LIMIT = 1e-6
 # Between points, margins may be negative by this fraction of the weight, and limits may be exceeded by this
 # fraction: below the uncertainty of friction coefficients and motors.
 BETWEEN = 1e-2
+# Changes of a torque over its limit, 1/s, from which it chatters. The library's least-time motions take 9.
+CHATTER = 20.0
 # The local errors of a phase's intervals may sum to this fraction of the robot's reach, and to this many rad:
 # what feedback has to correct is then below the positioning accuracy of legs.
 LOCAL_POSITION = 1e-3
@@ -131,6 +133,8 @@ class CheckReport:
         sliding_friction: Largest difference between the force of a sliding contact and the law of
             `trajopt.terms.dynamics`. Acceleration, velocity and drift of such contacts are along the normal.
         effort_excess, velocity_excess: Largest |x| / limit - 1; negative is reserve.
+        torque_variation, torque_reversals: Sum of |change| / limit over the samples for the joint where it is
+            largest, and how often that torque turns by more than 1 % of its limit; see ``chatter``.
         drive_torque_excess: Largest |tau_m| / torque_limit - 1 of the drives, with joint friction.
         drive_voltage_excess: Largest |tau_m / stall_torque + omega_m / no_load_speed| - 1.
         position_excess: Largest excess over a limit, over the joint's range; negative is reserve. This and
@@ -193,6 +197,8 @@ class CheckReport:
     drive_voltage_excess_between: float | None = figure(
         "motor voltage beyond its limit between points", "limit", "between"
     )
+    torque_variation: float | None = figure("sum of changes of a torque", "limit", why="smoothness")
+    torque_reversals: float | None = figure("turns of this torque", "", why="smoothness")
     velocity_excess: float | None = figure("velocity beyond its limit", "limit", "limit")
     velocity_excess_between: float | None = figure(
         "velocity beyond its limit between samples", "limit", "between"
@@ -265,6 +271,17 @@ class CheckReport:
         limits = tolerances or Tolerances()
         return tuple(name for name in FIGURES if self._fails(name, limits))
 
+    @property
+    def chatter(self) -> str:
+        """What to say of a torque that changes by more than `CHATTER` limits a second; empty otherwise."""
+        sums, place = self.torque_variation, self.places.get("torque_variation")
+        duration = self.phases[-1].end - self.phases[0].start if self.phases else 0.0
+        if sums is None or place is None or not sums > CHATTER * duration > 0:
+            return ""
+        rate = f"{sums / duration:.0f} limits a second, with {self.torque_reversals:.0f} turns"
+        remedy = "larger weights on accelerations or torques calm it"
+        return f"the torque of {place.name} changes by {rate}: {remedy}"
+
     def worst(self, tolerances: Tolerances | None = None) -> tuple[str, float]:
         """Return name and ratio of the figure with the largest ratio to its tolerance (above 1: exceeded)."""
         used = self.used(tolerances)
@@ -330,7 +347,7 @@ class CheckReport:
         lines += [figure.line(42) for figure in self.figures(tolerances)]
         for phase in self.phases:
             lines.append(_phase_line(phase))
-        lines += [f"note: {text}" for text in self.notes]
+        lines += [f"note: {text}" for text in (*self.notes, *filter(None, [self.chatter]))]
         return "\n".join(lines)
 
     def __str__(self) -> str:

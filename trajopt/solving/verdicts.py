@@ -90,7 +90,7 @@ def judged_by(solution: Solution, report: CheckReport, tolerances: Tolerances) -
     solution = solution.with_statistics(
         status=Status.SOLVED.word,
         success=True,
-        advice=Status.SOLVED.explain(),
+        advice="\n".join(filter(None, [Status.SOLVED.explain(), report.chatter])),
         failures=tuple(failures),
         worst_figure=FIGURES[name].text,
         tolerance_used=finite_or_none(used),
