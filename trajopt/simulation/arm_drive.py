@@ -16,6 +16,8 @@ from trajopt.certify.figures import figure
 from trajopt.collision import Obstacle
 from trajopt.control.mpc.arm import ArmController, ArmSettings, ToolTarget
 from trajopt.control.mpc.commands import unreadable
+from trajopt.dynamics.model_content import joint_kind
+from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError, shown
 from trajopt.kinds import ArrayShape
 from trajopt.robot.kinematics import frame_pose
@@ -30,6 +32,8 @@ from trajopt.simulation.simulated import SimulatedMotion
 
 # Largest offset of the target from its start, over the robot's length, and its speed in natural units.
 FARTHEST, TARGET_SPEED = 0.35, 0.2
+# Range of a slide without limits, over the robot's length.
+MOST_SLIDE = 10.0
 # Period and delay of plans, s.
 PERIOD, DELAY = 0.02, 0.01
 # Control rate, Hz.
@@ -129,7 +133,8 @@ class ToolSteering:
         self._start = frame_pose(robot, robot.reference, controller.tool)
         units, far = NaturalUnits.of(robot.model), FARTHEST * robot.length
         self.place = self._start.translation.copy()
-        self.low, self.high = self.place - far, self.place + far
+        slides = slide_ranges(robot, controller.tool)
+        self.low, self.high = self.place - far + slides[0], self.place + far + slides[1]
         self.path = TargetPath(self.place, TARGET_SPEED * units.length / units.time)
 
     def torque(self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray) -> np.ndarray:
@@ -138,6 +143,22 @@ class ToolSteering:
         self.place, velocity = self.path.at(t)
         target = ToolTarget(position=self.place, rotation=self._start.rotation, velocity=velocity)
         return self.controller.step(t, q, v, target)
+
+
+def slide_ranges(robot: Robot, frame: str) -> np.ndarray:
+    """Least and largest displacement (2, 3), m, world, of a frame by slides from the reference posture.
+
+    A slide without limits counts as `MOST_SLIDE` lengths of the robot.
+    """
+    model, most, ranges = robot.model, MOST_SLIDE * robot.length, np.zeros((2, 3))
+    moved = contact_jacobian(model, robot.reference, [(frame, 3)])
+    for index in range(1, model.njoints):
+        if joint_kind(model, index).startswith("P") and model.joints[index].nq == 1:
+            row, at = model.joints[index].idx_v, model.joints[index].idx_q
+            limits = np.array([robot.position_lower[at], robot.position_upper[at]]) - robot.reference[at]
+            ends = np.clip(limits, -most, most)[:, None] * moved[:, row]
+            ranges += [ends.min(axis=0), ends.max(axis=0)]
+    return ranges
 
 
 class TargetPath:

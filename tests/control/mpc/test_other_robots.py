@@ -10,8 +10,9 @@ from trajopt.control.mpc.commands import Command, CommandScript
 from trajopt.control.mpc.controller import Controller
 from trajopt.control.mpc.gait_reference import RestingFeet
 from trajopt.errors import InputError
-from trajopt.robot import Robot
+from trajopt.robot import Robot, frame_pose
 from trajopt.robot.legs import feet_in_base, wheel_rows
+from trajopt.simulation.arm_drive import MOST_SLIDE, drive_arm, slide_ranges
 from trajopt.simulation.lockstep import drive
 from trajopt_library import robots
 
@@ -97,3 +98,36 @@ def test_a_biped_on_points_that_is_told_to_stand_steps_in_place() -> None:
     assert run.report.mean_errors is None
     controller = Controller(robots.load("bolt"), ("walk",))
     assert controller.possible(Command(height=0.01)) == Command(gait="walk", height=0.01)
+
+
+MOBILE = """
+<mujoco model="mobile"><worldbody><body name="base" pos="0 0 0.1">
+ <joint name="bx" type="slide" axis="1 0 0" range="-2 2" limited="true"/>
+ <joint name="by" type="slide" axis="0 1 0"/>
+ <geom type="box" size="0.3 0.2 0.1" mass="30"/>
+ <body name="a2" pos="0.1 0 0.4"><joint name="shoulder" type="hinge" axis="0 1 0" range="-110 110"/>
+  <geom type="capsule" fromto="0 0 0.05 0 0 0.3" size="0.03" mass="1.5"/>
+  <body name="a3" pos="0 0 0.3"><joint name="elbow" type="hinge" axis="0 1 0" range="-140 140"/>
+   <geom type="capsule" fromto="0 0 0.05 0 0 0.3" size="0.03" mass="1"/>
+   <site name="tool" pos="0 0 0.3"/></body></body>
+</body></worldbody>
+<actuator><motor joint="bx" ctrlrange="-100 100"/><motor joint="by" ctrlrange="-100 100"/>
+ <motor joint="shoulder" ctrlrange="-60 60"/><motor joint="elbow" ctrlrange="-40 40"/></actuator></mujoco>
+"""
+
+
+@pytest.mark.long
+def test_an_arm_on_slides_reaches_as_far_as_they_do(tmp_path):
+    path = tmp_path / "mobile.xml"
+    path.write_text(MOBILE)
+    read = Robot.from_mjcf(path, reference=np.array([0.0, 0.0, 0.6, 1.0]))
+    robot = replace(read, velocity_limit=np.array([1.0, 1.0, 2.0, 2.0]))
+    ranges, most = slide_ranges(robot, "tool"), MOST_SLIDE * robot.length
+    assert ranges == pytest.approx(np.array([[-2.0, -most, 0.0], [2.0, most, 0.0]]))
+    start = frame_pose(robot, robot.reference, "tool").translation
+    goal = start + np.array([1.2, 0.4, 0.0])
+    driven = drive_arm(robot, np.array([[0.0, *start], [0.2, *goal]]), duration=5.0)
+    end = frame_pose(robot, driven.as_solution().q[-1], "tool").translation
+    assert end == pytest.approx(goal, abs=5e-3)
+    with pytest.raises(InputError, match="x is 10; allowed: -"):
+        drive_arm(robot, np.array([[0.0, 10.0, *start[1:]]]))
