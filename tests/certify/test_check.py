@@ -300,3 +300,25 @@ def test_a_torque_that_chatters_is_said_with_its_joint():
     assert found.torque_variation == pytest.approx(0.8 * (len(rough) - 1), rel=0.1)
     assert found.torque_reversals == len(rough) - 2
     assert f"the torque of {smooth.model.names[3]} changes by" in found.table()
+
+
+def test_a_check_ends_with_its_verdict():
+    plan = motion("ur5-reach")
+    report = check(plan)
+    assert str(report).splitlines()[-1] == "verdict: holds at all times"
+    broken = check(replace(plan, tau=1.1 * plan.tau))
+    assert broken.verdict().startswith("verdict: does not hold: actuated rows of the dynamics")
+    assert broken.to_dict()["verdict"] == broken.verdict()
+    simulated = check(plan.with_statistics(simulation={"kind": "test"}))
+    assert simulated.verdict() == "verdict: a simulated run, which as a plan holds at all times"
+
+
+def test_the_open_loop_of_an_unstable_phase_is_marked_and_does_not_count():
+    report = check(motion("ur5-reach"))
+    (phase,) = report.phases
+    loose = replace(report, phases=(replace(phase, stable=False),), open_loop_joints=1.0)
+    line = next(line for line in loose.table().splitlines() if line.startswith("open loop, joints"))
+    assert "unstable" in line
+    assert "beyond" not in line
+    assert loose.ok
+    assert f"{phase.name} is unstable without feedback" in loose.verdict()

@@ -219,6 +219,7 @@ def _report(
         **_worst_of(phases),
         phases=phases,
         notes=(*motion.missing_shapes, *_notes_of_terms(stated)),
+        simulated=motion.solution.statistics.simulated,
         places={
             **{name: known[1] for name, known in worst.items() if known is not None},
             **_places_of_phases(phases),

@@ -256,6 +256,7 @@ class CheckReport:
     places: dict[str, Occurrence] = field(default_factory=dict)
     phases: tuple[PhaseReport, ...]
     notes: tuple[str, ...] = ()
+    simulated: bool = False
 
     @property
     def ok(self) -> bool:
@@ -282,6 +283,18 @@ class CheckReport:
         remedy = "larger weights on accelerations or torques calm it"
         return f"the torque of {place.name} changes by {rate}: {remedy}"
 
+    def verdict(self, tolerances: Tolerances | None = None) -> str:
+        """Return in one sentence whether the motion holds, or why not, and what is not judged."""
+        failures = self.failures(tolerances)
+        text = "holds at all times"
+        if failures:
+            more = f", and {len(failures) - 1} more" if len(failures) > 1 else ""
+            text = f"does not hold: {self.in_words(self.worst(tolerances)[0])}{more}"
+        unstable = [phase.name for phase in self.phases if phase.stable is False]
+        if unstable:
+            text += f"; {', '.join(unstable)} is unstable without feedback, so its open loop is not judged"
+        return f"verdict: {'a simulated run, which as a plan ' if self.simulated else ''}{text}"
+
     def worst(self, tolerances: Tolerances | None = None) -> tuple[str, float]:
         """Return name and ratio of the figure with the largest ratio to its tolerance (above 1: exceeded)."""
         used = self.used(tolerances)
@@ -299,15 +312,17 @@ class CheckReport:
         for name, shown in FIGURES.items():
             value = getattr(self, name)
             limit = None if shown.tolerance is None else getattr(limits, shown.tolerance)
+            unstable = name in OPEN_LOOP and limit is not None and value is not None and value > limit
             if value is not None:
+                idle = unstable and not self._fails(name, limits)
                 measured.append(
                     MeasuredFigure(
                         text=shown.text,
                         value=value,
                         unit=shown.unit,
-                        limit=-limit if shown.margin and limit is not None else limit,
+                        limit=None if idle else -limit if shown.margin and limit is not None else limit,
                         lower=shown.margin or shown.least,
-                        why=shown.why,
+                        why="unstable" if idle else shown.why,
                         beyond=self._fails(name, limits),
                         place=self.places.get(name),
                     )
@@ -339,7 +354,8 @@ class CheckReport:
     def to_dict(self, tolerances: Tolerances | None = None) -> dict[str, Any]:
         """Return JSON-able figures by name, with verdict, phases and notes; inf and NaN become null."""
         failures = self.failures(tolerances)
-        return jsonable({"ok": not failures, "failures": failures} | asdict(self))
+        judged = {"ok": not failures, "failures": failures, "verdict": self.verdict(tolerances)}
+        return jsonable(judged | asdict(self))
 
     def table(self, tolerances: Tolerances | None = None) -> str:
         """Return one figure a line with unit, tolerance and verdict, then the phases and notes."""
@@ -351,7 +367,7 @@ class CheckReport:
         return "\n".join(lines)
 
     def __str__(self) -> str:
-        return self.table()
+        return f"{self.table()}\n{self.verdict()}"
 
 
 FIGURES: dict[str, Figure] = {

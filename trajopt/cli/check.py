@@ -43,7 +43,7 @@ def check_command(file: Path, accuracy: bool, reference: Path | None, as_json: b
             accuracy_figures = measure(plan, reference)
         shown["accuracy"] = accuracy_figures.to_dict()
         text = f"{text}\n\n{accuracy_figures.table()}"
-    say(to_json(shown) if as_json else text)
+    say(to_json(shown) if as_json else f"{text}\n{report.verdict()}")
     return 0 if report.ok else NOT_REACHED
 
 

@@ -129,5 +129,5 @@ def test_an_arm_on_slides_reaches_as_far_as_they_do(tmp_path):
     driven = drive_arm(robot, np.array([[0.0, *start], [0.2, *goal]]), duration=5.0)
     end = frame_pose(robot, driven.as_solution().q[-1], "tool").translation
     assert end == pytest.approx(goal, abs=5e-3)
-    with pytest.raises(InputError, match="x is 10.0; allowed: -"):
+    with pytest.raises(InputError, match=r"x is 10\.0; allowed: -"):
         drive_arm(robot, np.array([[0.0, 10.0, *start[1:]]]))
