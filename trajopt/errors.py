@@ -210,7 +210,10 @@ def finite_array(what: str, value: Any, shape: tuple[int, ...] = (3,), unit: str
     import numpy as np
 
     array = numbers_of(value)
-    if array.shape != shape or not np.isfinite(array).all():
+    wrong = np.argwhere(~np.isfinite(array))
+    if array.shape != shape or len(wrong):
+        if array.shape == shape and shape:
+            value, what = array[tuple(wrong[0])], f"{what}[{', '.join(map(str, wrong[0]))}]"
         size = str(shape[0]) if len(shape) == 1 else f"{shape}"
         allowed = f"allowed: {size} finite numbers" + (f", {unit}" if unit else "")
         raise InputError(f"{what} is {shown(value)}", allowed)

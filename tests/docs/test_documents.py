@@ -4,6 +4,8 @@ import ast
 import importlib
 import pkgutil
 import re
+import subprocess
+import sys
 import textwrap
 from pathlib import Path
 
@@ -11,6 +13,7 @@ import pytest
 
 import trajopt
 from tests.support.printed import difference
+from tests.support.processes import environment
 from tests.support.repository import ROOT
 
 NOT_OURS = {"puppy.py", "paw.py"}  # files that a reader makes
@@ -19,6 +22,8 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").r
 # Packages of this repository that documents import from.
 OURS = ("trajopt", "trajopt_library")
 BLOCK = re.compile(r"^```python\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+# Blocks whose workers import the script: only a script of its own shows that they have a main guard.
+STARTS_WORKERS = re.compile(r"trajopt\.(?:batch|discover)\(")
 # What a block prints, where a document says so directly below it.
 OUTPUT = re.compile(r"^```python\n(.*?)^```\n(?:\n```output\n(.*?)^```$)?", re.DOTALL | re.MULTILINE)
 # Python that is more than a block: the tutorial saves it to files, which its own test does.
@@ -74,6 +79,14 @@ def test_python_block_runs(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    if STARTS_WORKERS.search(blocks(document)[index]):
+        script = tmp_path / "script.py"
+        script.write_text(blocks(document)[index], encoding="utf-8")
+        ended = subprocess.run(
+            [sys.executable, str(script)], capture_output=True, text=True, env=environment()
+        )
+        assert ended.returncode == 0, ended.stderr
+        return
     namespace: dict[str, object] = {"__name__": "__main__"}
     exec(compile(blocks(document)[index], f"{document}, block {index}", "exec"), namespace)
     stated = OUTPUT.findall((ROOT / document).read_text(encoding="utf-8"))[index][1]

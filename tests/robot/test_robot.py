@@ -7,10 +7,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+import trajopt
 from tests.support.refusals import refused
 from trajopt.errors import InputError
 from trajopt.robot.contact import Contact
 from trajopt.robot.data import VisualSource, robot_file
+from trajopt.robot.payload import Payload
 from trajopt.robot.robot import Robot
 from trajopt_library import robots
 
@@ -305,3 +307,27 @@ def test_joints_are_locked_where_frames_share_a_name():
     whole = pin.crba(robot.model, robot.model.createData(), q)
     reduced = pin.crba(locked.model, locked.model.createData(), locked.reference)
     np.testing.assert_allclose(np.triu(reduced), np.triu(whole[np.ix_(kept, kept)]), atol=1e-12)
+
+
+def test_degrees_in_a_reference_are_said() -> None:
+    with pytest.raises(InputError, match=r"at joint 'elbow_joint': .* if -90 is in degrees, -1.571 rad"):
+        replace(trajopt.robot("ur5"), reference=[0.0, 0.0, -90.0, 0.0, 0.0, 0.0])
+    pendulum = trajopt.robot("double_pendulum")
+    open_ended = replace(
+        pendulum, position_lower=np.full(pendulum.nq, -np.inf), position_upper=np.full(pendulum.nq, np.inf)
+    )
+    with pytest.warns(UserWarning, match=r"more than a turn at joint '\w+'; if 45 is in degrees, 0.7854 rad"):
+        replace(open_ended, reference=np.array([45.0, 0.0]))
+
+
+def test_a_number_that_is_not_finite_is_named_with_its_entry() -> None:
+    robot = trajopt.robot("ur5")
+    with pytest.raises(InputError, match=r"^reference\[2\] of Robot '?\w*'? ?is nan; allowed: "):
+        replace(robot, reference=[0.0, 0.0, np.nan, 0.0, 0.0, 0.0])
+    with pytest.raises(InputError, match=r"centre\[1\] of Payload is inf; allowed: 3 finite numbers"):
+        Payload(contact="hand", mass=1.0, centre=np.array([0.0, np.inf, 0.0]))
+
+
+def test_an_unknown_robot_is_answered_with_the_nearest_name() -> None:
+    with pytest.raises(InputError, match=r"robot 'go3' is unknown; did you mean go\d\? allowed: .*go2"):
+        trajopt.robot("go3")

@@ -11,6 +11,7 @@ A command's module is imported when the command is looked up, and imports slow l
 
 import collections
 import importlib
+import re
 import sys
 import warnings
 from collections.abc import Mapping, Sequence
@@ -179,6 +180,9 @@ def _refuse(message: str) -> int:
 
 def _usage(error: click.UsageError) -> str:
     where = error.ctx.command_path if error.ctx else "trajopt"
+    extra = re.search(r"unexpected extra arguments? \((\S+=[^\s)]+)", error.format_message())
+    if extra and error.ctx and any("--set" in each.opts for each in error.ctx.command.params):
+        return f"'{extra[1]}' stands alone; allowed: --set {extra[1]}; see '{where} --help'"
     return f"{error.format_message().rstrip('.')}; see '{where} --help'"
 
 

@@ -1,10 +1,22 @@
 """Bodies that a plan carries: their wrenches by Newton-Euler, and the model with them attached."""
 
+import warnings
+from collections.abc import Iterable
+
 import numpy as np
 import pinocchio as pin
 
 from trajopt.motion.solution import Solution
 from trajopt.robot.payload import loaded_model, payload_wrench
+
+
+def warn_of_payloads(plans: Iterable[Solution], format: str) -> None:
+    """Warn of carried bodies that a format leaves out, though torques and forces include their weight."""
+    for plan in plans:
+        masses = ", ".join(f"{body.mass:g} kg on {body.frame}" for body in plan.description.payloads)
+        if masses:
+            text = f"{format} leaves out the payload: {masses}; torques and forces are those with it"
+            warnings.warn(text, UserWarning, stacklevel=2)
 
 
 def carrying_model(plan: Solution, phase: int) -> pin.Model:

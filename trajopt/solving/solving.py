@@ -273,6 +273,10 @@ def _solution(
     worst = float(violations.max()) if np.all(np.isfinite(violations)) else math.nan
     status = status_by_violation(result.status, worst, tolerance)
     success = status is Status.SOLVED
+    feasible = min(worst, result.recent_primal) <= TRUSTED_VIOLATION * tolerance
+    costless = not (t.problem.costs or t.problem.node_costs or t.problem.impact_costs)
+    if status is Status.NOT_FINITE:
+        place = place or nonfinite_place(prepared.nlp, result.x)
     solution = extract(
         t,
         result.x,
@@ -282,7 +286,7 @@ def _solution(
         solver_status=result.solver_status,
         success=success,
         converged=success,
-        advice=advice_for(status, place, min(worst, result.recent_primal) <= TRUSTED_VIOLATION * tolerance),
+        advice=advice_for(status, place, feasible, costless),
         iterations=result.iterations,
         objective=finite_or_none(result.objective * t.objective_unit),
         tolerance=tolerance,

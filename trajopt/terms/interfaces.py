@@ -104,8 +104,8 @@ class DuringPhases(Term):
 
 @checked
 @dataclass(frozen=True, kw_only=True)
-class Cost(DuringPhases, ABC):
-    """A running cost at collocation points, ``w |r|^2 / n`` of its `residual` r (n,).
+class Cost(DuringPhases):
+    """A running cost at collocation points, ``w |r|^2 / n`` of its `residual` r (n,), or another `value`.
 
     Args:
         weight: w, dimensionless, finite and at least zero.
@@ -117,7 +117,6 @@ class Cost(DuringPhases, ABC):
 
     weight: NonNegative
 
-    @abstractmethod
     def residual(self, context: Context, units: Units) -> ca.SX:
         """Quantity over its unit, (n,); the cost is the weighted mean of its squares.
 
@@ -128,6 +127,8 @@ class Cost(DuringPhases, ABC):
         Returns:
             Expression (n,) of type SX.
         """
+        name = type(self).__name__
+        raise InputError(f"cost {name} has no residual", "allowed: a class with residual(), or with value()")
 
     def value(self, context: Context, units: Units) -> ca.SX:
         """Cost rate ``w |r|^2 / n`` at one point; zero where the residual has no entry."""
