@@ -12,13 +12,13 @@ from pathlib import Path
 import pytest
 
 import trajopt
+from tests.support.pages import ANY_BLOCK, PAGES
 from tests.support.printed import difference
 from tests.support.processes import environment
 from tests.support.repository import ROOT
 
 NOT_OURS = {"puppy.py", "paw.py"}  # files that a reader makes
 SOURCES = ("trajopt", "problems", "robots", "scripts", "tests", "docs")
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 # Packages of this repository that documents import from.
 OURS = ("trajopt", "trajopt_library")
 BLOCK = re.compile(r"^```python\n(.*?)^```$", re.DOTALL | re.MULTILINE)
@@ -26,8 +26,6 @@ BLOCK = re.compile(r"^```python\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 STARTS_WORKERS = re.compile(r"trajopt\.(?:batch|discover)\(")
 # What a block prints, where a document says so directly below it.
 OUTPUT = re.compile(r"^```python\n(.*?)^```\n(?:\n```output\n(.*?)^```$)?", re.DOTALL | re.MULTILINE)
-# Python that is more than a block: the tutorial saves it to files, which its own test does.
-ANY_BLOCK = re.compile(r"^ *```(?:python|py)\b[^\n]*\n(.*?)^ *```$", re.DOTALL | re.MULTILINE)
 
 
 def blocks(document: str) -> list[str]:

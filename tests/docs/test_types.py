@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.docs.test_documents import ANY_BLOCK, PAGES
+from tests.support.pages import ANY_BLOCK, PAGES
 from tests.support.repository import ROOT
 
 CONTRIBUTING = ROOT / "CONTRIBUTING.md"

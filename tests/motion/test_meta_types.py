@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import trajopt
-from tests.motion.test_untrusted_files import arrays_of, saved
 from tests.support.command_lines import assert_refused, invoke
+from tests.support.damaged_files import arrays_of, saved
 from tests.support.ground import HILLS
 from tests.support.synthetic_motions import Motion, arm_motion, sampled, standing, with_meta
 from trajopt.collision.description import robot_shapes
@@ -206,7 +206,7 @@ def test_a_field_of_any_type_is_used_or_refused_in_one_line(word: str, solution:
         (("contact_frames", 0), "frame of PlannedContact 'FL_FOOT' is 7; allowed: a string"),
         (
             ("payloads", 0, "inertia", 0, 1),
-            "payloads of meta: inertia of a payload is not that of a rigid body",
+            "inertia of a payload is not that of a rigid body",
         ),
         (("friction",), "friction of meta is not a list with an entry for each of the 4 contact_frames"),
     ],

@@ -5,11 +5,13 @@ from dataclasses import replace
 import pytest
 
 import trajopt
+from tests.support.problems import hop
 from tests.support.synthetic_motions import sampled, standing
 from trajopt.certify.report import Tolerances
 from trajopt.collision.description import robot_shapes
 from trajopt.solvers.status import Status
 from trajopt.solving.verdicts import judged_by
+from trajopt.terms import FrameHeight
 from trajopt.terms.costs import NodeCost
 from trajopt.terms.interfaces import Cost
 
@@ -46,3 +48,15 @@ def test_a_problem_without_a_cost_is_told_so_and_not_to_raise_a_limit() -> None:
     kept = trajopt.solve(problem, draft=True, max_iterations=1).statistics
     assert "max_iterations" in kept.advice
     assert "no cost" not in kept.advice
+
+
+@pytest.mark.long
+def test_a_jump_too_high_for_its_flight_names_the_flight_and_its_duration() -> None:
+    problem = hop()
+    rows = tuple(
+        replace(term, height=0.6) if isinstance(term, FrameHeight) else term for term in problem.terms
+    )
+    statistics = trajopt.solve(replace(problem, terms=rows), draft=True).statistics
+    assert statistics.status == Status.INFEASIBLE.word
+    words = "flight 'flight' of 0.2 s: a rise h and a fall f take sqrt(2 h / g) + sqrt(2 f / g)"
+    assert words in statistics.advice

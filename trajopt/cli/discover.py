@@ -153,11 +153,11 @@ def _tasks(
             f"--set has no effect on the robot '{problem}'", "allowed: --goal, or a problem's name"
         )
     robot = load_robot(problem)
-    given = parse_settings(goal, "--goal")
-    for name in given:
+    asked = parse_settings(goal, "--goal")
+    for name in asked:
         if name not in GOAL:
             raise not_among(GOAL, name, f"a goal has no '{name}'")
-    values = {name: _number(name, text, GOAL[name]) for name, text in given.items()}
+    values = {name: _number(name, text, GOAL[name]) for name, text in asked.items()}
     span = None if low == high else (low, high)
     kind, _, size = (terrain or "flat").partition(":")
     name, _, text = size.partition("=")
