@@ -327,18 +327,6 @@ def _unit_vector(value: Any, place: str) -> tuple[float, ...]:
     return tuple((vector / np.linalg.norm(vector)).tolist())
 
 
-def _require_numbers(array: Any, shape: ArrayShape, place: str) -> None:
-    """Raise unless an array has the shape and only allowed numbers; `RefusedError` names the first other."""
-    import numpy as np
-
-    if shape.holds(array):
-        return
-    wrong = np.argwhere(np.isnan(array) if shape.infinite else ~np.isfinite(array))
-    _require(len(wrong) > 0 and array.ndim > 0 and shape.holds(np.zeros_like(array)))
-    entry = tuple(wrong[0].tolist())
-    raise RefusedError(f"{place}[{', '.join(map(str, entry))}]", array[entry], f"allowed: {shape.text}")
-
-
 def _array(shape: ArrayShape, keeps: bool) -> Kind:
     """Return the kind of arrays: kept arrays become read-only copies, lists become float arrays."""
 
@@ -352,7 +340,8 @@ def _array(shape: ArrayShape, keeps: bool) -> Kind:
             array = array if array is value else array.astype(float)
         except Exception:  # from a user-defined conversion
             raise ValueError from None
-        _require_numbers(array, shape, place)
+        if not shape.holds(array):
+            raise RefusedError(place, value if np.isfinite(array).all() else array, f"allowed: {shape.text}")
         if keeps and array.flags.writeable:
             array = array.copy() if array is value else array
             array.setflags(write=False)

@@ -213,7 +213,7 @@ def test_arrays_of_a_robot_are_read_only():
         ({"reference": np.array([0, 0, 4.0, 0, 0, 0])}, "outside its limits at joint 'elbow_joint'"),
         (
             {"reference": np.full(6, np.nan)},
-            r"reference\[0\] of Robot 'ur5' is nan; allowed: an array of finite numbers",
+            "reference of Robot .* allowed: an array of finite numbers",
         ),
         (
             {"contacts": (Contact(frame="tool0"), Contact(frame="ee_link", name="tool0"))},
@@ -323,11 +323,14 @@ def test_degrees_in_a_reference_are_said() -> None:
 
 
 def test_a_number_that_is_not_finite_is_named_with_its_entry() -> None:
-    robot = trajopt.robot("ur5")
-    with pytest.raises(InputError, match=r"^reference\[2\] of Robot '?\w*'? ?is nan; allowed: "):
-        replace(robot, reference=[0.0, 0.0, np.nan, 0.0, 0.0, 0.0])
-    with pytest.raises(InputError, match=r"centre\[1\] of Payload is inf; allowed: 3 finite numbers"):
-        Payload(contact="hand", mass=1.0, centre=np.array([0.0, np.inf, 0.0]))
+    robot = trajopt.robot("solo12")
+    posture = robot.reference.copy()
+    posture[9] = np.nan
+    for given in (posture, posture.tolist()):
+        with pytest.raises(InputError, match=r"^reference of Robot .* \(19,\) with nan at \[9\]; allowed: "):
+            replace(robot, reference=given)
+    with pytest.raises(InputError, match=r"is an array of shape \(3, 3\) with inf at \[1, 2\]; allowed: "):
+        Payload(contact="hand", mass=1.0, inertia=np.diag([0.0, np.inf], 1))
 
 
 def test_an_unknown_robot_is_answered_with_the_nearest_name() -> None:

@@ -411,18 +411,11 @@ class OwnRates(Cost):
         return context.parameter(self.weight) * ca.sumsqr(context.v * units.time) / context.robot.nv
 
 
-@dataclass(frozen=True, kw_only=True)
-class Nothing(Cost):
-    """Neither."""
-
-
 def test_a_cost_may_have_a_value_alone() -> None:
     _, x = sampled(reach(gravity=True))
     values = [objective(with_terms(reach(gravity=True), kind(weight=2.0)), x) for kind in (Rates, OwnRates)]
     assert values[0] > 0
     assert_allclose(values[1], values[0], rtol=ROUNDING)
-    with pytest.raises(InputError, match=r"cost Nothing has no residual; allowed: .* with value\(\)"):
-        objective(with_terms(reach(gravity=True), Nothing(weight=1.0)), x)
 
 
 def test_cost_of_transport_is_energy_over_weight_and_way():

@@ -106,7 +106,7 @@ def require_reference(
     """Raise `InputError` for a reference not finite, outside limits, not normalised or in gimbal lock."""
     lower, upper = position
     for row in np.flatnonzero(~np.isfinite(q))[:1]:
-        raise InputError(f"reference[{row}] of robot '{robot}' is {q[row]}", "finite, m and rad")
+        raise InputError(f"reference of robot '{robot}' is not finite: {q[row]} at row {row}", "m and rad")
     outside = np.maximum(lower - q, q - upper)
     for joint in list(model.joints)[1:]:
         name, rows = model.names[joint.id], slice(joint.idx_q, joint.idx_q + joint.nq)
