@@ -7,12 +7,14 @@ from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
 
-from trajopt.errors import InputError, TrajoptError, failure, line_in, placed, shown
+from trajopt.errors import InputError, TrajoptError, failure, line_in, not_among, placed, shown
 from trajopt.robot import Robot, feet_in_base
 
 KINDS = ("arm", "quadruped", "biped", "hopper", "pendulum", "multirotor")
 # Kind of a robot with a free base by the number of its feet.
 KIND_OF_FEET = {1: "hopper", 2: "biped", 4: "quadruped"}
+# What messages offer beside the names.
+OWN_FILE = "a .py file with build()"
 # Suffix of a name or file for the same robot on rolling balls.
 ROLLING = ":rolling"
 
@@ -116,9 +118,7 @@ def _module(name: str) -> ModuleType:
         made = f"a .py file with build(): trajopt robot {name} --write FILE.py makes one"
         raise InputError(f"'{name}' is a description, not a robot", made)
     if name not in names():
-        raise InputError(
-            f"robot '{name}' is unknown", "a .py file with build(), or one of " + ", ".join(names())
-        )
+        raise not_among((*names(), OWN_FILE), name, f"robot '{name}' is unknown")
     return importlib.import_module(f"{__name__}.{name}")
 
 

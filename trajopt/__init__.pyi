@@ -1,4 +1,6 @@
-from . import robot as robot
+import typing
+
+from . import robot as _robot  # noqa: F401  read by lazy_loader
 from .certify.check import check as check
 from .errors import InputError as InputError
 from .errors import TrajoptError as TrajoptError
@@ -26,4 +28,11 @@ from .study.discovery.search import discover as discover
 from .terrain.flat import FlatGround as FlatGround
 from .view.replay.show import replay as replay
 
+class _CallableRoom:
+    """The package `trajopt.robot`, which is also the function that loads a robot."""
+
+    def __call__(self, name: str) -> Robot: ...
+    def __getattr__(self, name: str) -> typing.Any: ...
+
+robot: _CallableRoom
 __version__: str

@@ -99,11 +99,23 @@ class _Shown(reprlib.Repr):
         if type(value) in (float, complex, bool, bytes, type(None)):
             return repr(value)
         if type(value).__module__ == "numpy" and hasattr(value, "tolist"):
-            few = 0 < value.size <= FEW_NAMES
-            return self.repr1(value.tolist(), level) if few else f"an array of shape {value.shape}"
+            listed = self.repr1(value.tolist(), level) if 0 < value.size <= FEW_NAMES else ""
+            return listed if 0 < len(listed) <= WIDTH else f"an array of shape {value.shape}{_flaw(value)}"
         if isinstance(value, Path):
             return f"'{value}'"
         return f"the class {value.__name__}" if isinstance(value, type) else with_article(type(value))
+
+
+def _flaw(array: np.ndarray) -> str:
+    """Say where an array has its first NaN, or else infinity; empty if it has neither."""
+    import numpy as np  # deferred, also below: the command line loads errors before it needs arrays
+
+    if array.dtype.kind != "f":
+        return ""
+    for word, flaws in (("nan", np.isnan(array)), ("inf", np.isinf(array))):
+        if flaws.any():
+            return f" with {word} at {np.argwhere(flaws)[0].tolist()}"
+    return ""
 
 
 def require_fields(kind: Any, described: Any, what: str) -> None:
@@ -210,7 +222,7 @@ def _require(right: bool, what: str, value: Any, unit: str, allowed: str) -> Non
 
 def numbers_of(value: Any) -> np.ndarray:
     """Return a copy of ``value`` as an array of numbers, empty if it is not one."""
-    import numpy as np  # deferred, also below: the command line loads errors before it needs arrays
+    import numpy as np
 
     try:
         return np.array(value, dtype=float)
@@ -226,6 +238,6 @@ def finite_array(what: str, value: Any, shape: tuple[int, ...] = (3,), unit: str
     if array.shape != shape or not np.isfinite(array).all():
         size = str(shape[0]) if len(shape) == 1 else f"{shape}"
         allowed = f"allowed: {size} finite numbers" + (f", {unit}" if unit else "")
-        raise InputError(f"{what} is {shown(value)}", allowed)
+        raise InputError(f"{what} is {shown(array if array.shape == shape else value)}", allowed)
     array.setflags(write=False)
     return array

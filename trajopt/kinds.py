@@ -342,7 +342,8 @@ def _array(shape: ArrayShape, keeps: bool) -> Kind:
             array = array if array is value else array.astype(float)
         except Exception:  # from a user-defined conversion
             raise ValueError from None
-        _require(shape.holds(array))
+        if not shape.holds(array):
+            raise RefusedError(place, value if np.isfinite(array).all() else array, f"allowed: {shape.text}")
         if keeps and array.flags.writeable:
             array = array.copy() if array is value else array
             array.setflags(write=False)

@@ -3,11 +3,12 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import casadi as ca
 import numpy as np
 
 import trajopt
 from trajopt import FlatGround, Phase, Problem, Schedule, terms
-from trajopt.robot import contact_poses, contact_targets, inverse_kinematics
+from trajopt.robot import Units, contact_poses, contact_targets, inverse_kinematics
 
 LEAN, LIFT = 0.5, 1.0  # s
 
@@ -16,7 +17,7 @@ LEAN, LIFT = 0.5, 1.0  # s
 class BaseHeightCost(terms.Cost):
     height: float  # m, to which the base is drawn
 
-    def residual(self, context, units):
+    def residual(self, context: terms.Context, units: Units) -> ca.SX:
         return (context.frame("base").position[2] - context.parameter(self.height)) / units.length
 
 
@@ -25,14 +26,14 @@ class FrameAboveHeight(terms.PointConstraint):
     frame: str
     height: Callable[[float], float]  # s -> m, least height of the frame's origin
 
-    def rows(self, context, units):
+    def rows(self, context: terms.Context, units: Units) -> terms.Rows:
         height = context.varying(lambda t: np.array([self.height(t)]), 1)
         return terms.Rows.create(context.frame(self.frame).position[2] - height, 0.0, np.inf, units.length)
 
 
 def least_height(t: float) -> float:
     s = np.clip((t - LEAN) / LIFT, 0.0, 1.0)
-    return 0.02 + 0.13 * np.sin(0.8 * np.pi * s) ** 2  # from the ground to 0.15 m and half of the way back
+    return float(0.02 + 0.13 * np.sin(0.8 * np.pi * s) ** 2)  # from the ground to 0.15 m and halfway back
 
 
 robot = trajopt.robot("go2")

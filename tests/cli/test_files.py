@@ -265,7 +265,7 @@ def test_mjcf_opens_in_mujoco(plan: Path) -> None:
         (("--format", "isaaclab-amp", "--cycles", 0), "cycles"),
         (("--format", "isaaclab-amp", "--rate", 0), "rate"),
         (("--format", "mjlab", "--mjcf", "none.xml"), "cannot read none.xml"),
-        (("--format", "rosbag", "--task", "hop"), "task is of no use for rosbag; allowed: no option"),
+        (("--format", "rosbag", "--task", "hop"), "task is of no use for rosbag; allowed: fields"),
         (("--format", "npz", "--task", "hop"), "--task is of no use for npz"),
         (("--format", "lerobot", "--rate", 12.5), "rate is 12.5 Hz; allowed for lerobot: a whole number"),
         (("--format", "lerobot", "-o", "hop.npz"), "hop.npz is an input file"),

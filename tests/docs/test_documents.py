@@ -21,22 +21,22 @@ import pytest
 
 import trajopt
 from scripts.measure.__main__ import main as measure
+from tests.support.pages import ANY_BLOCK, PAGES
 from tests.support.printed import difference
-from tests.support.processes import LIMIT
+from tests.support.processes import LIMIT, environment
 from tests.support.repository import ROOT
 from trajopt.cli.commands import main
 from trajopt.problem.catalogue import families
 
 NOT_OURS = {"puppy.py", "paw.py"}  # files that a reader makes
 SOURCES = ("trajopt", "problems", "robots", "scripts", "tests", "docs")
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 # Packages of this repository that documents import from.
 OURS = ("trajopt", "trajopt_library")
 BLOCK = re.compile(r"^```python\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+# Blocks whose workers import the script: only a script of its own shows that they have a main guard.
+STARTS_WORKERS = re.compile(r"trajopt\.(?:batch|discover)\(")
 # What a block prints, where a document says so directly below it.
 OUTPUT = re.compile(r"^```python\n(.*?)^```\n(?:\n```output\n(.*?)^```$)?", re.DOTALL | re.MULTILINE)
-# Python that is more than a block: the tutorial saves it to files, which its own test does.
-ANY_BLOCK = re.compile(r"^ *```(?:python|py)\b[^\n]*\n(.*?)^ *```$", re.DOTALL | re.MULTILINE)
 
 
 def blocks(document: str) -> list[str]:
@@ -88,6 +88,14 @@ def test_python_block_runs(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    if STARTS_WORKERS.search(blocks(document)[index]):
+        script = tmp_path / "script.py"
+        script.write_text(blocks(document)[index], encoding="utf-8")
+        ended = subprocess.run(
+            [sys.executable, str(script)], capture_output=True, text=True, env=environment()
+        )
+        assert ended.returncode == 0, ended.stderr
+        return
     namespace: dict[str, object] = {"__name__": "__main__"}
     exec(compile(blocks(document)[index], f"{document}, block {index}", "exec"), namespace)
     stated = OUTPUT.findall((ROOT / document).read_text(encoding="utf-8"))[index][1]

@@ -1,10 +1,14 @@
 """A motion at an even rate: the plan's own polynomials, cycle after cycle, links where Pinocchio has them."""
 
+from pathlib import Path
+
 import numpy as np
 import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+import trajopt
+from tests.support.command_lines import invoke
 from tests.support.exported_plans import (
     GAITS,
     KINDS,
@@ -12,12 +16,17 @@ from tests.support.exported_plans import (
     moved_on,
     place_of,
     plan_to_export,
+    resting_arm,
     rotation_of,
     swinging_arm,
 )
 from tests.support.refusals import assert_refused_in_one_line
+from tests.support.synthetic_motions import sampled, standing
 from trajopt.export.exported_motion import counted_angle, sample_cycles
+from trajopt.export.formats import FORMATS
 from trajopt.export.links import without_jumps
+from trajopt.export.writing import export_motion
+from trajopt.motion.solution import Solution
 
 pytestmark = pytest.mark.long
 
@@ -50,6 +59,48 @@ def test_one_cycle_is_the_plan_at_even_times(kind: str) -> None:
         if name in own.torque_names:
             torque = own.drive_torque[:, own.torque_names.index(name)]
             assert_allclose(motion.joints.torque[:half, column], torque)
+
+
+@pytest.mark.parametrize(("even", "end"), [(True, 1.02), (False, 1.0085)])
+def test_a_motion_that_ends_at_rest_is_sampled_to_its_end(even: bool, end: float) -> None:
+    plan = resting_arm(1.0085)
+    motion = sample_cycles(plan, 50, even=even)
+    assert motion.t[-1] == pytest.approx(end, abs=ROUNDING)
+    assert_allclose(motion.q[-1], plan.q[-1], atol=ROUNDING)
+    assert_allclose(motion.v[-1], 0.0, atol=ROUNDING)
+    if even:
+        assert_allclose(np.diff(motion.t), 1 / 50, atol=ROUNDING)
+    assert len(sample_cycles(resting_arm(1.0), 50, even=even).t) == 51
+
+
+def test_an_even_motion_that_does_not_rest_ends_at_its_last_whole_step() -> None:
+    plan = swinging_arm()
+    assert sample_cycles(plan, 30.5).t[-1] == pytest.approx(30 / 30.5)
+    assert sample_cycles(plan, 30.5, even=False).t[-1] == plan.t[-1]
+
+
+def carrying() -> tuple[Solution, str]:
+    """Solo12 with 0.25 kg on a foot, and what warnings say of it."""
+    robot = trajopt.robot("solo12")
+    foot = robot.contacts[0].frame
+    load = {"frame": foot, "mass": 0.25, "centre": [0.0] * 3, "inertia": np.eye(3) / 1000, "phases": [0]}
+    return sampled(robot, [standing(robot)], 2, payloads=[load]), f"leaves out the payload: 0.25 kg on {foot}"
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_payload_that_is_left_out_is_said(name: str, tmp_path: Path) -> None:
+    plan, words = carrying()
+    with pytest.warns(UserWarning, match=f"{name} {words}"):
+        export_motion(plan, name, tmp_path / f"out{FORMATS[name].ending}")
+
+
+@pytest.mark.parametrize(("form", "ending"), [("csv", "csv"), ("mjcf", "xml"), ("rosbag", "")])
+def test_the_command_line_says_that_a_payload_is_left_out(form: str, ending: str, tmp_path: Path) -> None:
+    plan, words = carrying()
+    file = plan.save(tmp_path / "plan.npz")
+    result = invoke("export", file, "--format", form, "-o", tmp_path / f"out.{ending}".rstrip("."))
+    assert result.exit_code == 0
+    assert result.stderr.count(f"trajopt: warning: {form} {words}; torques") == 1
 
 
 @pytest.mark.parametrize("kind", ["turning trot", "planar hops"])

@@ -1,5 +1,6 @@
 """ROS 2 bags, read back by rosbags: transforms, joints, odometry and wrenches are those of Pinocchio."""
 
+import math
 import re
 import sys
 from collections import defaultdict
@@ -13,7 +14,15 @@ from numpy.testing import assert_allclose, assert_array_equal
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability
 
-from tests.support.exported_plans import ROUNDING, place_of, plan_to_export, swinging_arm, swinging_quadruped
+from tests.support.command_lines import invoke
+from tests.support.exported_plans import (
+    ROUNDING,
+    place_of,
+    plan_to_export,
+    resting_arm,
+    swinging_arm,
+    swinging_quadruped,
+)
 from tests.support.refusals import assert_refused_in_one_line
 from trajopt.export.writing import export_motion
 from trajopt.motion.solution import Solution
@@ -86,13 +95,14 @@ def test_stamps_are_even_and_those_of_the_bag(kind: str, tmp_path: Path) -> None
     plan = plan_to_export(kind)
     bag = exported(plan, tmp_path)
     count = len(bag.messages["/joint_states"])
-    left = plan.t[-1] * (2 if kind == "mirrored walk" else 1) - (count - 1) / RATE
-    assert -ROUNDING < left < 1 / RATE
+    end = plan.t[-1] * (2 if kind == "mirrored walk" else 1)
+    assert -ROUNDING < (count - 1) / RATE - end < 1 / RATE
     for topic, messages in bag.messages.items():
         if len(messages) == 1:
             continue
         times = np.array([time for time, _ in messages])
-        assert_array_equal(times, np.round(SECOND * (1 + np.arange(count) / RATE)))
+        even = np.append(np.arange(count - 1) / RATE, end)
+        assert_array_equal(times, np.round(SECOND * (1 + even)))
         for time, message in messages:
             headers = [one.header for one in message.transforms] if topic == "/tf" else [message.header]
             assert {nanoseconds(header.stamp) for header in headers} == {time}
@@ -193,9 +203,28 @@ def test_later_cycles_move_on(tmp_path: Path) -> None:
     plan = plan_to_export("turning trot")
     bag = exported(plan, tmp_path, cycles=2)
     travelled = numbers(bag.messages["/odom"][-1][1].pose.pose.position)
-    assert len(bag.messages["/odom"]) == int(2 * plan.t[-1] * RATE + ROUNDING) + 1
+    assert len(bag.messages["/odom"]) == math.ceil(2 * plan.t[-1] * RATE - ROUNDING) + 1
     once = numbers(bag.messages["/odom"][len(bag.messages["/odom"]) // 2][1].pose.pose.position)
     assert travelled[0] > 1.5 * once[0] > 0
+
+
+def test_a_trajectory_ends_at_the_end_of_the_plan_with_the_fields_asked_for(tmp_path: Path) -> None:
+    plan = resting_arm(1.0085)
+    file, folder = plan.save(tmp_path / "plan.npz"), tmp_path / "bag"
+    fields = ("--fields", "positions,velocities")
+    assert invoke("export", file, "--format", "rosbag", "-o", folder, *fields).exit_code == 0
+    *_, last = Bag(folder).only("/joint_trajectory").points
+    assert nanoseconds(last.time_from_start) == 1_008_500_000
+    assert_allclose(last.positions, plan.q[-1], atol=ROUNDING)
+    assert_allclose(last.velocities, 0.0, atol=ROUNDING)
+    assert len(last.accelerations) == len(last.effort) == 0
+
+
+def test_unknown_fields_are_refused(tmp_path: Path) -> None:
+    def write() -> None:
+        export_motion(resting_arm(1.0), "rosbag", tmp_path / "bag", fields="positions,efort")
+
+    assert_refused_in_one_line(write, "hold 'efort'; did you mean effort? allowed: positions, velocities")
 
 
 def test_an_earlier_bag_is_replaced_and_another_folder_is_not(tmp_path: Path) -> None:

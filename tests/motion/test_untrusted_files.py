@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from tests.support.damaged_files import arrays_of, saved
 from tests.support.models import JOINT_KINDS, ROBOTS, hand_built, robot
 from tests.support.refusals import assert_refused_in_one_line
 from tests.support.synthetic_motions import arm_motion, sampled
@@ -36,17 +37,6 @@ MODELS = {
 def content() -> bytes:
     arm = robots.load("ur5")
     return sampled(arm, [arm_motion(arm)], 4).to_bytes()
-
-
-def arrays_of(content: bytes) -> dict[str, np.ndarray]:
-    with np.load(io.BytesIO(content)) as archive:
-        return {name: archive[name] for name in archive.files}
-
-
-def saved(arrays: dict[str, np.ndarray]) -> bytes:
-    file = io.BytesIO()
-    np.savez_compressed(file, **arrays)
-    return file.getvalue()
 
 
 def with_member(content: bytes, name: str, data: bytes) -> bytes:

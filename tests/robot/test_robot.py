@@ -7,11 +7,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+import trajopt
 from tests.support.models import placement
 from tests.support.refusals import refusals, refused, refused_calls
 from trajopt import Contact, InputError, Robot
 from trajopt.robot import robot_file
 from trajopt.robot.data import VisualSource
+from trajopt.robot.payload import Payload
 from trajopt_library import robots
 
 FEET = ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")
@@ -287,3 +289,29 @@ def test_joints_are_locked_where_frames_share_a_name():
     whole = pin.crba(robot.model, robot.model.createData(), q)
     reduced = pin.crba(locked.model, locked.model.createData(), locked.reference)
     np.testing.assert_allclose(np.triu(reduced), np.triu(whole[np.ix_(kept, kept)]), atol=1e-12)
+
+
+def test_degrees_in_a_reference_are_said() -> None:
+    with pytest.raises(InputError, match=r"at joint 'elbow_joint': .* if -90 is in degrees, -1.571 rad"):
+        replace(trajopt.robot("ur5"), reference=[0.0, 0.0, -90.0, 0.0, 0.0, 0.0])
+    free = replace(
+        trajopt.robot("ur5"), position_lower=np.full(6, -np.inf), position_upper=np.full(6, np.inf)
+    )
+    with pytest.warns(UserWarning, match=r"joint 'elbow_joint'; if 45 is in degrees, 0.7854 rad"):
+        replace(free, reference=np.array([0.0, 0.0, 45.0, 0.0, 0.0, 0.0]))
+
+
+def test_a_number_that_is_not_finite_is_named_with_its_entry() -> None:
+    robot = trajopt.robot("solo12")
+    posture = robot.reference.copy()
+    posture[9] = np.nan
+    for given in (posture, posture.tolist()):
+        with pytest.raises(InputError, match=r"^reference of Robot .* \(19,\) with nan at \[9\]; allowed: "):
+            replace(robot, reference=given)
+    with pytest.raises(InputError, match=r"is an array of shape \(3, 3\) with inf at \[1, 2\]; allowed: "):
+        Payload(contact="hand", mass=1.0, inertia=np.diag([0.0, np.inf], 1))
+
+
+def test_an_unknown_robot_is_answered_with_the_nearest_name() -> None:
+    with pytest.raises(InputError, match=r"robot 'go3' is unknown; did you mean go\d\? allowed: .*go2"):
+        trajopt.robot("go3")

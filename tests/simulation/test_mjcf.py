@@ -11,11 +11,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+import trajopt
 from tests.support.models import JOINT_KINDS, hand_built, random_state
 from tests.support.refusals import assert_refused_in_one_line
 from tests.support.sampled_problems import solution_of_kind
 from tests.support.synthetic_motions import Motion, sampled
 from trajopt.motion.solution import Solution
+from trajopt.robot.actuators.mimic import MimicJoint
 from trajopt.robot.robot import Robot
 from trajopt.simulation import write_mjcf
 from trajopt.simulation.mjcf import mjcf_of
@@ -162,3 +164,23 @@ def test_what_mjcf_cannot_express_is_refused_and_leaves_nothing(tmp_path: Path) 
     )
     assert not list(tmp_path.iterdir())
     assert_refused_in_one_line(lambda: write_mjcf(solution_of_kind("points"), tmp_path), "cannot write")
+
+
+def test_a_joint_that_follows_another_is_an_equality_of_their_names() -> None:
+    rule = MimicJoint(joint="wrist_2_joint", mimics="wrist_1_joint", ratio=-0.5, offset=0.1)
+    robot: Robot = trajopt.robot("ur5").with_mimics([rule])
+    rest = np.zeros(robot.nv)
+    still = Motion(
+        duration=0.2,
+        contacts=(),
+        q=lambda t: robot.reference,
+        v=lambda t: rest,
+        a=lambda t: rest,
+        tau=lambda t: np.zeros(robot.nu),
+        f=lambda t: np.zeros((0, 6)),
+    )
+    model = mujoco.MjModel.from_xml_string(mjcf_of(sampled(robot, [still], 2, mimics=[rule.to_meta()])))
+    assert model.neq == 1
+    names = [model.joint(int(number)).name for number in (model.eq_obj1id[0], model.eq_obj2id[0])]
+    assert names == ["wrist_2_joint", "wrist_1_joint"]
+    np.testing.assert_allclose(model.eq_data[0, :2], [rule.offset, rule.ratio])

@@ -151,7 +151,7 @@ def test_a_sweep_is_written_printed_and_resumed(tmp_path: Path):
     result = sweep(*asked)
     assert result.exit_code == 0, result.stderr
     assert "3 settings, 2 starts each: 6 runs" in result.stderr
-    assert "legendre:2@10 (default)" in result.stdout
+    assert "legendre:2@10 (base)" in result.stdout
     assert (out / "front.png").stat().st_size > 10_000
     settings = {row["label"]: row for row in rows(out / "settings.csv")}
     assert set(settings) == {"legendre:2@10", "legendre:2@4", "legendre:2@8"}
@@ -212,7 +212,7 @@ def test_bad_input_is_one_line(arguments: tuple[str, ...], words: str, tmp_path:
 
 def test_a_plan_can_be_listed():
     result = sweep("s-reach", "--hessian", "exact,gauss-newton", "--list")
-    assert result.stdout == "legendre:2@10 (default)\nlegendre:2@10 gauss-newton\n"
+    assert result.stdout == "legendre:2@10 (base)\nlegendre:2@10 gauss-newton\n"
     assert result.stderr.endswith("2 settings, 6 runs\n")
 
 

@@ -41,9 +41,7 @@ TYPES = ["<f8", ">f8", "<f4", "<i8", "<u8", "?", "<c16", "<U3", "S4", "<M8[s]"]
 
 def damaged(kind: str, content: bytes, random: np.random.Generator) -> bytes:
     """A solution's file, damaged in one way of that kind."""
-    with np.load(io.BytesIO(content)) as archive:
-        arrays = {name: archive[name] for name in archive.files}
-    return KINDS[kind](arrays, content, random)
+    return KINDS[kind](arrays_of(content), content, random)
 
 
 def _meta(arrays: dict[str, np.ndarray], _: bytes, random: np.random.Generator) -> bytes:
@@ -63,7 +61,7 @@ def _meta(arrays: dict[str, np.ndarray], _: bytes, random: np.random.Generator) 
         holder[index] *= float(random.choice([-1.0, 1e3, 1e9, 1e-12]))
     else:
         holder[index] = STRANGE[random.integers(len(STRANGE))]
-    return _saved({**arrays, "meta": np.array(json.dumps(meta))})
+    return saved({**arrays, "meta": np.array(json.dumps(meta))})
 
 
 def _places(value: Any, key: str = "") -> Iterator[tuple[Any, Any, str]]:
@@ -78,12 +76,12 @@ def _places(value: Any, key: str = "") -> Iterator[tuple[Any, Any, str]]:
 def _array(arrays: dict[str, np.ndarray], _: bytes, random: np.random.Generator) -> bytes:
     """A sampled array with strange values, another shape or another type."""
     names = [name for name in arrays if not name.startswith(("meta", "model"))]
-    return _saved(_changed(arrays, names, random))
+    return saved(_changed(arrays, names, random))
 
 
 def _model(arrays: dict[str, np.ndarray], _: bytes, random: np.random.Generator) -> bytes:
     """An array of the model, likewise."""
-    return _saved(_changed(arrays, [name for name in arrays if name.startswith("model_")], random))
+    return saved(_changed(arrays, [name for name in arrays if name.startswith("model_")], random))
 
 
 def _changed(
@@ -117,7 +115,7 @@ def _text(arrays: dict[str, np.ndarray], _: bytes, random: np.random.Generator) 
     for place in random.integers(len(words), size=int(random.integers(1, 4))):
         words[place] = str(random.choice(["4294967295", "-1", "99999", "1e308", "nan", "", "x", "0"]))
     older = {name: array for name, array in arrays.items() if not name.startswith("model_")}
-    return _saved({**older, "model": np.array(" ".join(words))})
+    return saved({**older, "model": np.array(" ".join(words))})
 
 
 def _bytes(_: dict[str, np.ndarray], content: bytes, random: np.random.Generator) -> bytes:
@@ -165,7 +163,14 @@ def _member(arrays: dict[str, np.ndarray], _: bytes, random: np.random.Generator
     return file.getvalue()
 
 
-def _saved(arrays: dict[str, np.ndarray]) -> bytes:
+def arrays_of(content: bytes) -> dict[str, np.ndarray]:
+    """The members of a file."""
+    with np.load(io.BytesIO(content)) as archive:
+        return {name: archive[name] for name in archive.files}
+
+
+def saved(arrays: dict[str, np.ndarray]) -> bytes:
+    """A file with these members."""
     file = io.BytesIO()
     np.savez_compressed(file, **arrays)
     return file.getvalue()

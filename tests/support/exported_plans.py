@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -44,6 +45,19 @@ def swinging_arm(locked: tuple[str, ...] = ()) -> Solution:
     robot: Robot = trajopt.robot("ur5")
     robot = robot.with_locked(locked) if locked else robot
     return sampled(robot, [arm_motion(robot)], 4)
+
+
+def resting_arm(duration: float, **meta: Any) -> Solution:
+    """A UR5 that leaves its reference posture and ends at rest, without a solve."""
+    robot: Robot = trajopt.robot("ur5")
+    way, pace = np.linspace(0.3, -0.4, robot.nv), np.pi / duration
+    motion = replace(
+        arm_motion(robot, duration),
+        q=lambda t: robot.reference + way * (1 - np.cos(pace * t)) / 2,
+        v=lambda t: way * pace * np.sin(pace * t) / 2,
+        a=lambda t: way * pace**2 * np.cos(pace * t) / 2,
+    )
+    return sampled(robot, [motion], 8, **meta)
 
 
 def swinging_quadruped() -> Solution:

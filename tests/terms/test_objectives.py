@@ -1,8 +1,9 @@
 """Goals and energies of motions, against numpy and closed forms."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
+import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -22,6 +23,8 @@ from trajopt.solving.solving import prepare, solve
 from trajopt.terms import (
     REST,
     AccelerationCost,
+    Context,
+    Cost,
     DistanceCost,
     FrameHeightCost,
     FramePose,
@@ -371,6 +374,29 @@ def test_drives_heat_is_in_the_cost_and_in_the_energy():
     only = with_terms(problem, PowerCost(weight=1.0, recovered=1.0))
     expected = energy(solution, recovered=1.0) / (unit.force * unit.length)
     assert_allclose(objective(only, x), expected, rtol=ROUNDING)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rates(Cost):
+    """The mean square of the rates, by its residual."""
+
+    def residual(self, context: Context, units: Units) -> ca.SX:
+        return context.v * units.time
+
+
+@dataclass(frozen=True, kw_only=True)
+class OwnRates(Cost):
+    """The same by its value alone."""
+
+    def value(self, context: Context, units: Units) -> ca.SX:
+        return context.parameter(self.weight) * ca.sumsqr(context.v * units.time) / context.robot.nv
+
+
+def test_a_cost_may_have_a_value_alone() -> None:
+    _, x = sampled(reach(gravity=True))
+    values = [objective(with_terms(reach(gravity=True), kind(weight=2.0)), x) for kind in (Rates, OwnRates)]
+    assert values[0] > 0
+    assert_allclose(values[1], values[0], rtol=ROUNDING)
 
 
 def test_cost_of_transport_is_energy_over_weight_and_way():

@@ -155,12 +155,13 @@ def _without_contacts(examination: Examination) -> Examination:
     """Leave out the figures that dynamics of the problem's own do not need to meet, and say so."""
     report, own = examination.report, examination.motion.solution.description.dynamics == "own"
     unknown = (*HELD, *(WHOLE_BODY if own else ()))
+    nothing: dict[str, Any] = dict.fromkeys(unknown)
     notes = [*report.notes, "contacts are moved by rows of the problem's own, so their motion is not judged"]
     if own:
         notes.append("the dynamics are the problem's own and are not judged")
     report = replace(
         report,
-        **dict.fromkeys(unknown),
+        **nothing,
         places={name: place for name, place in report.places.items() if name not in unknown},
         phases=() if own else report.phases,
         notes=tuple(notes),
@@ -230,7 +231,9 @@ def _report(
 def _smoothness(plan: Solution) -> dict[str, tuple[float, Occurrence] | None]:
     """Return the largest sum of changes of a torque, over its limit, and the number of its turns."""
     limits = plan.description.effort_limit
-    rows = [] if limits is None else np.flatnonzero(np.isfinite(limits) & (limits > 0))
+    rows: np.ndarray = (
+        np.zeros(0, int) if limits is None else np.flatnonzero(np.isfinite(limits) & (limits > 0))
+    )
     if limits is None or not len(rows) or not len(plan.tau):
         return dict.fromkeys(("torque_variation", "torque_reversals"))
     shares = plan.tau[:, rows] / limits[rows]

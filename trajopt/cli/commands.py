@@ -11,6 +11,7 @@ A command's module is imported when the command is looked up, and imports slow l
 
 import collections
 import importlib
+import re
 import sys
 import warnings
 from collections.abc import Mapping, Sequence
@@ -138,8 +139,7 @@ class CommandLine(LazyGroup):
             status = super().main(args, prog_name, **extra)
             return status if isinstance(status, int) else 0
         except click.UsageError as error:
-            where = error.ctx.command_path if error.ctx else "trajopt"
-            return _refuse(f"{error.format_message().rstrip('.')}; see '{where} --help'")
+            return _refuse(_usage(error))
         except click.ClickException as error:
             return _refuse(error.format_message())
         except TrajoptError as error:
@@ -176,6 +176,14 @@ def _cancelled() -> int:
 def _refuse(message: str) -> int:
     say(f"trajopt: {' '.join(message.split())}", err=True)
     return BAD_INPUT
+
+
+def _usage(error: click.UsageError) -> str:
+    where = error.ctx.command_path if error.ctx else "trajopt"
+    extra = re.search(r"unexpected extra arguments? \((\S+=[^\s)]+)", error.format_message())
+    if extra and error.ctx and any("--set" in each.opts for each in error.ctx.command.params):
+        return f"'{extra[1]}' stands alone; allowed: --set {extra[1]}; see '{where} --help'"
+    return f"{error.format_message().rstrip('.')}; see '{where} --help'"
 
 
 def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:

@@ -17,7 +17,7 @@ from trajopt.cli.input import (
     value_option,
 )
 from trajopt.cli.report import console, plain_table, say, to_json
-from trajopt.errors import InputError, expanded, finite_number, not_among
+from trajopt.errors import InputError, expanded, not_among
 from trajopt.motion.output import check_output, replacing
 
 if TYPE_CHECKING:
@@ -27,10 +27,12 @@ if TYPE_CHECKING:
     from trajopt.study.discovery.task import ContactTask
 
 SEEDS, MOST, JOBS = WholeNumber(0, 1000), WholeNumber(1, 1000), WholeNumber(1, 1024)
-GOAL, CYCLE = ("x", "y", "yaw"), ("robot", "speed")
+# Units of a goal; parameters of a cycle; largest number of either.
+GOAL, CYCLE, FARTHEST = {"x": "m", "y": "m", "yaw": "rad"}, ("robot", "speed"), 1000.0
 # Words in place of a robot's name, which is set then.
 KINDS = ("quadruped", "biped")
 OBSTACLES = {"box": "height", "gap": "width"}
+GOAL_FORM = "allowed: --goal x=METRES, y=METRES or yaw=RADIANS, or --periodic --set speed=M/S"
 TERRAIN_FORM = "allowed: flat, box:height=METRES or gap:width=METRES"
 TIME_FORM = "allowed: seconds, such as 1.5, or bounds, such as 1:2"
 
@@ -155,16 +157,19 @@ def _tasks(
             f"--set has no effect on the robot '{problem}'", "allowed: --goal, or a problem's name"
         )
     robot = load_robot(problem)
-    values = {name: finite_number(name, text) for name, text in parse_settings(goal, "--goal").items()}
-    for name in values:
+    asked = parse_settings(goal, "--goal")
+    for name in asked:
         if name not in GOAL:
             raise not_among(GOAL, name, f"a goal has no '{name}'")
+    values = {name: _number(name, text, GOAL[name]) for name, text in asked.items()}
     span = None if low == high else (low, high)
     kind, _, size = (terrain or "flat").partition(":")
     name, _, text = size.partition("=")
     if (kind, size) != ("flat", "") and OBSTACLES.get(kind) != name:
         raise InputError(f"--terrain '{terrain}' has the wrong form", TERRAIN_FORM)
-    extent = None if kind == "flat" else finite_number(name, text)
+    extent = None if kind == "flat" else _number(name, text)
+    if not goal:
+        raise InputError(f"the robot '{problem}' has no goal", GOAL_FORM)
 
     def make(part: float) -> ContactTask:
         way = {name: part * value for name, value in values.items()}
@@ -196,8 +201,16 @@ def _cycle(
         raise InputError(
             f"the robot of '{name}' is not clear", f"allowed: its name, or {KINDS[0]} --set robot=NAME"
         )
-    speed = finite_number("speed", values["speed"])
+    speed = _number("speed", values["speed"], "m/s")
     return cycle_of(load_robot(values.get("robot", name)), speed, span[1] or None)
+
+
+def _number(name: str, text: str, unit: str = "m") -> float:
+    """A number, which may carry its unit; raises `InputError`."""
+    from trajopt.problem.family import Parameter
+
+    parameter = Parameter(name=name, default=None, unit=unit, lower=-FARTHEST, upper=FARTHEST, meaning=name)
+    return parameter.parse(text)
 
 
 def _span(text: str | None) -> tuple[float, float]:

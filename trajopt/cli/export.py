@@ -119,7 +119,11 @@ def _export_one(file: Path, form: str, output: Path | None, rate: float, convent
     check_apart([target], [file])
     _refuse_solution_file(check_output(target))
     if samples:
-        motion = load_plan(file).sample(rate, **conventions)
+        from trajopt.motion.samples import warn_of_payloads
+
+        plan = load_plan(file)
+        warn_of_payloads([plan], form)
+        motion = plan.sample(rate, **conventions)
         say(f"{motion.save(target)}: {len(motion.t)} samples at {rate:g} Hz")
     else:
         from trajopt.simulation.mjcf import write_mjcf

@@ -91,9 +91,10 @@ def sweep(
     """Benchmark settings: time, accuracy, Pareto front.
 
     An axis with one value holds for all settings; axes with several values are varied one at a time around
-    the default setting, schemes and intervals as a grid. Without any axis a default plan is run. Writes
-    runs.csv, settings.csv, front.csv and front.png. Exit status 0 when the default setting was solved, 1 when
-    not, 130 after Ctrl-C: the results so far are written, and --resume continues from them.
+    the base setting, schemes and intervals as a grid. Without any axis a default plan is run. The base
+    setting has the problem's own scheme and intervals; solve refines a mesh instead. Writes runs.csv,
+    settings.csv, front.csv and front.png. Exit status 0 when the base setting was solved, 1 when not, 130
+    after Ctrl-C: the results so far are written, and --resume continues from them.
     """
     from trajopt.study.records import versions
     from trajopt.study.sweep.engine import cores_for
@@ -188,7 +189,7 @@ def _print_plan(plan: SweepPlan, request: SweepRequest, as_json: bool) -> None:
         click.echo(to_json({"settings": settings, "runs": runs, "left_out": list(plan.left_out)}))
         return
     for setting in plan.settings:
-        click.echo(setting.label(plan.base) + (" (default)" if setting == plan.base else ""))
+        click.echo(setting.label(plan.base) + (" (base)" if setting == plan.base else ""))
     for text in plan.left_out:
         click.echo(f"left out: {text}", err=True)
     click.echo(f"{len(plan.settings)} settings, {runs} runs", err=True)

@@ -20,6 +20,9 @@ from trajopt.motion.input import SolutionOrFile, require_motion, solution_of
 from trajopt.motion.sampled_motion import MOST_SAMPLES, SampledMotion
 from trajopt.motion.solution import Solution
 
+# Largest rate of a motion that ends at rest, relative to its largest rate: solvers leave less.
+AT_REST = 1e-4
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointMotion:
@@ -92,17 +95,17 @@ class ExportedMotion(SampledMotion):
 
 @checked
 def sample_cycles(
-    solution: SolutionOrFile, rate: Positive = RATE, cycles: PositiveCount = 1
+    solution: SolutionOrFile, rate: Positive = RATE, cycles: PositiveCount = 1, *, even: bool = True
 ) -> ExportedMotion:
     """Sample a motion at ``rate`` from the polynomials of its intervals; a switch has the values after it.
-
-    All steps are equal: a remainder at the end that is shorter than a step is not sampled.
 
     Args:
         solution: the plan, or the path of its file.
         rate: samples per second, Hz.
         cycles: of a periodic plan, each continuing the previous one; half a cycle counts with its mirror
             image, as in `simulate`.
+        even: whether all steps are equal. A remainder at the end shorter than a step is then a whole step if
+            the motion ends at rest, else it is left out. If not, it is the last step.
 
     Raises:
         InputError: for a rate that gives over 200,000 samples, several cycles of a plan that is not periodic,
@@ -111,8 +114,10 @@ def sample_cycles(
     plan = require_motion(solution_of(solution))
     passes = passes_of(plan, cycles)
     start, end = float(plan.interval_t[0, 0]), float(plan.interval_t[-1, 1])
-    times = _even_times((end - start) * passes, rate)
-    slack = SAME_TIME * (end - start)
+    slack, duration = SAME_TIME * (end - start), (end - start) * passes
+    times = _even_times(duration, rate)
+    if duration - times[-1] > slack and (not even or _ends_at_rest(plan)):
+        times = np.append(times, len(times) / rate if even else duration)
     number = np.clip(np.floor((times + slack) / (end - start)).astype(int), 0, passes - 1)
     samples = plan.sample(times=np.clip(start + times - number * (end - start), start, end))
     moved = replace(in_passes(plan, samples, number), t=times)
@@ -126,6 +131,10 @@ def _even_times(duration: float, rate: float) -> np.ndarray:
             f"rate is {rate:g} Hz, {steps:.3g} samples in {duration:g} s", f"allowed: {MOST_SAMPLES} samples"
         )
     return np.arange(int(steps * (1 + SAME_TIME) + SAME_TIME) + 1) / rate
+
+
+def _ends_at_rest(plan: Solution) -> bool:
+    return bool(np.abs(plan.v[-1]).max() <= AT_REST * np.abs(plan.v).max())
 
 
 def require_one_robot(motions: Sequence[ExportedMotion]) -> None:

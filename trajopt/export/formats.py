@@ -39,7 +39,8 @@ class Format:
 
     help: one line. writer: "module:function", loaded on use. ending: of its file; "" for a folder. several:
     whether it takes several motions. options: names among `OPTIONS`. marker: path, within its folder, of a
-    file that every export has; a folder without it is not replaced. rate: default samples per second.
+    file that every export has; a folder without it is not replaced. rate: default samples per second. even:
+    whether all steps are equal, see `sample_cycles`.
     """
 
     help: str
@@ -49,6 +50,7 @@ class Format:
     options: tuple[str, ...] = ()
     marker: str = ""
     rate: float = RATE
+    even: bool = True
 
     def load_writer(self) -> Callable[..., None]:
         """Import and return the writer."""
@@ -65,6 +67,10 @@ OPTIONS = {
     ),
     "task": ExportOption(
         metavar="TEXT", help="What the robot does, in words.  [default: the problem's name]"
+    ),
+    "fields": ExportOption(
+        metavar="NAMES",
+        help="Of the points of the trajectory, such as positions,velocities.  [default: all]",
     ),
 }
 FORMATS = {
@@ -103,11 +109,14 @@ FORMATS = {
         writer="trajopt.export.mujoco_playback:write_mujoco_playback",
         marker="controls.npz",
         rate=CONTROL_RATE,
+        even=False,
     ),
     "rosbag": Format(
         help="ROS 2 bag: trajectory, joint states, tf, odometry, contact forces",
         writer="trajopt.export.rosbag:write_rosbag",
+        options=("fields",),
         marker="metadata.yaml",
+        even=False,
     ),
 }
 

@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
+from trajopt.errors import not_among
 from trajopt.export.exported_motion import ExportedMotion
 from trajopt.export.formats import package_of_format
 from trajopt.export.links import frame_motion, link_frames, without_jumps
@@ -28,6 +29,13 @@ COVARIANCE = 36
 VERSION = 8
 # First stamp, ns: tf takes a stamp of zero as "the latest", not as a time.
 START = NANOSECONDS
+# Fields of a trajectory's points -> arrays of `ExportedMotion`.
+POINT_FIELDS = {
+    "positions": "position",
+    "velocities": "velocity",
+    "accelerations": "acceleration",
+    "effort": "torque",
+}
 # An infinite duration as rosbag2 writes it, s and ns.
 ENDLESS = (9223372036, 854775807)
 
@@ -240,8 +248,9 @@ class _Bag:
 
 
 def write_rosbag(motions: Sequence[ExportedMotion], path: Path, options: Mapping[str, Any]) -> None:
-    """Write one motion; raises `InputError` where rosbags is not installed."""
+    """Write one motion; raises `InputError` for an unknown field, and where rosbags is not installed."""
     (motion,) = motions
+    fields = _trajectory_fields(options.get("fields", ",".join(POINT_FIELDS)))
     messages, tree = RosMessages.load(), frame_tree(motion)
     rosbag2 = package_of_format("rosbags.rosbag2", EXTRA)
     inner = path / path.name  # the writer creates its folder and names its file after it
@@ -249,7 +258,7 @@ def write_rosbag(motions: Sequence[ExportedMotion], path: Path, options: Mapping
         for key, value in (("robot", motion.robot), ("problem", motion.problem)):
             writer.set_custom_data(key, value)
         bag = _Bag(writer=writer, messages=messages)
-        _write_once(bag, motion, tree)
+        _write_once(bag, motion, tree, fields)
         for topic, kind, row, message in _sampled(messages, motion, tree):
             bag.write(topic, kind, _stamp(motion, row), message)
     for file in inner.iterdir():
@@ -282,7 +291,16 @@ def _since_start(motion: ExportedMotion, row: int) -> int:
     return round(float(motion.t[row]) * NANOSECONDS)
 
 
-def _write_once(bag: _Bag, motion: ExportedMotion, tree: FrameTree) -> None:
+def _trajectory_fields(names: str) -> list[str]:
+    """Fields of a point from their names, separated by commas; raises `InputError`."""
+    fields = [name.strip() for name in names.split(",")]
+    for name in fields:
+        if name not in POINT_FIELDS:
+            raise not_among(POINT_FIELDS, name, f"fields of a trajectory's points hold '{name}'")
+    return fields
+
+
+def _write_once(bag: _Bag, motion: ExportedMotion, tree: FrameTree, fields: Sequence[str]) -> None:
     """Write what does not change: URDF, transforms of fixed links, and the trajectory as one message."""
     make, text = bag.messages.make, _urdf(motion)
     if text is not None:
@@ -294,7 +312,7 @@ def _write_once(bag: _Bag, motion: ExportedMotion, tree: FrameTree) -> None:
         bag.write("/tf_static", "tf2_msgs/TFMessage", START, message, latched=True)
     if motion.torque_names:
         kind = "trajectory_msgs/JointTrajectory"
-        bag.write("/joint_trajectory", kind, START, _trajectory(bag.messages, motion))
+        bag.write("/joint_trajectory", kind, START, _trajectory(bag.messages, motion, fields))
 
 
 def _urdf(motion: ExportedMotion) -> str | None:
@@ -305,18 +323,17 @@ def _urdf(motion: ExportedMotion) -> str | None:
     return source.urdf.read_text(encoding="utf-8", errors="replace")
 
 
-def _trajectory(messages: RosMessages, motion: ExportedMotion) -> Any:
+def _trajectory(messages: RosMessages, motion: ExportedMotion, fields: Sequence[str]) -> Any:
     """Trajectory of the joints with a torque; a stamp of zero means that it starts when received."""
     joints = motion.joints
     names = [name for name in joints.names if name in motion.torque_names]
     columns = [joints.names.index(name) for name in names]
+    values = {name: getattr(joints, array)[:, columns] for name, array in POINT_FIELDS.items()}
+    empty = np.zeros(0)
     points = [
         messages.make(
             "trajectory_msgs/JointTrajectoryPoint",
-            positions=joints.position[row, columns],
-            velocities=joints.velocity[row, columns],
-            accelerations=joints.acceleration[row, columns],
-            effort=joints.torque[row, columns],
+            **{name: array[row] if name in fields else empty for name, array in values.items()},
             time_from_start=messages.duration(_since_start(motion, row)),
         )
         for row in range(len(motion.t))

@@ -16,6 +16,7 @@ from trajopt.motion.output import (
     replacing_folder,
     require_ending,
 )
+from trajopt.motion.samples import warn_of_payloads
 from trajopt.motion.solution import Solution
 
 
@@ -29,6 +30,7 @@ def export_motion(
     *,
     mjcf: str | Path | None = None,
     task: str | None = None,
+    fields: str | None = None,
 ) -> Path:
     """Write one or several motions in the format of another tool; return the path of the file or folder.
 
@@ -40,13 +42,21 @@ def export_motion(
         cycles: of a periodic plan, each continuing the previous one.
         mjcf: MJCF of the simulator's robot, for formats in a simulator's order.
         task: what the robot does, in words, for data sets; None: the problem's name.
+        fields: of the points of a joint trajectory, separated by commas; None: positions, velocities,
+            accelerations and effort.
+
+    Payloads are left out, with a warning.
 
     Raises:
         InputError: for an unknown format or option, motions that the format cannot hold, and a path that
             cannot be written or is a folder with something other than such an export.
     """
     given = [solution] if isinstance(solution, Solution | str | Path) else list(solution)
-    chosen, options, target = format_named(format), keyword_arguments(mjcf=mjcf, task=task), expanded(path)
+    chosen, options, target = (
+        format_named(format),
+        keyword_arguments(mjcf=mjcf, task=task, fields=fields),
+        expanded(path),
+    )
     require_options(format, chosen, options)
     require_count(format, chosen, len(given))
     check_apart([target], [Path(one) for one in given if isinstance(one, str | Path)])
@@ -56,7 +66,9 @@ def export_motion(
     else:
         check_folder(target, chosen.marker)
     sampled = chosen.rate if rate is None else rate
-    motions = [sample_cycles(plan, sampled, cycles) for plan in solutions_of(given)]
+    plans = solutions_of(given)
+    warn_of_payloads(plans, format)
+    motions = [sample_cycles(plan, sampled, cycles, even=chosen.even) for plan in plans]
     place = replacing(target) if chosen.ending else replacing_folder(target, chosen.marker)
     with place as unfinished:
         chosen.load_writer()(motions, unfinished, options)

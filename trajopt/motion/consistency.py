@@ -164,6 +164,9 @@ def _wrong_shape(
     ):
         if limit is not None and len(limit) != size:
             return f"{key} of meta has {len(limit)} entries, expected {size}"
+    single = [joint.nv == 1 for joint in list(model.joints)[1:] for _ in range(joint.nv)]
+    if plan.periodicity is not None and single != [single[row] for row in plan.periodicity.index]:
+        return "index of periodicity of meta does not take joints to joints"
     if plan.actuated_rows is not None and (plan.actuated_rows >= model.nv).any():
         return f"actuated_rows of meta are {plan.actuated_rows.tolist()}, of {model.nv} rows of v"
     for frame in plan.frames:

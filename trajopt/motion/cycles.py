@@ -115,10 +115,19 @@ def in_passes(plan: Solution, motion: SampledMotion, number: np.ndarray) -> Samp
 
 
 def image_of_contacts(plan: RobotMotion, described: PeriodicImage) -> list[int]:
-    """Return for each contact the one it is the image of: the rows of v that move one map to the other's."""
+    """Return for each contact the one it is the image of: the rows of v that move one map to the other's.
+
+    Raises `InputError` if there is none.
+    """
     index = described.index
     moved = [moving_rows(plan.model, frame) for frame in plan.contact_frames]
-    return [moved.index({int(index[row]) for row in rows}) for rows in moved]
+    images = [{int(index[row]) for row in rows} for rows in moved]
+    for frame, image in zip(plan.contact_frames, images, strict=True):
+        if image not in moved:
+            raise InputError(
+                f"the periodicity takes contact '{frame}' to none", "allowed: one of the contacts"
+            )
+    return [moved.index(image) for image in images]
 
 
 def moving_rows(model: pin.Model, frame: str) -> set[int]:

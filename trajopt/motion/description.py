@@ -17,6 +17,7 @@ from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.actuators.joint_force import JointForce
 from trajopt.robot.actuators.mimic import MimicJoint
 from trajopt.robot.data import VisualSource
+from trajopt.robot.payload import require_rigid
 from trajopt.schedule.moment import Target
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.patch import Patch
@@ -76,10 +77,13 @@ class CarriedBody:
     """
 
     frame: str
-    mass: float
+    mass: NonNegative
     centre: Array3
     inertia: Array33
     phases: tuple[int, ...]
+
+    def __post_init__(self) -> None:
+        require_rigid(self.inertia)
 
     @property
     def spatial(self) -> pin.Inertia:

@@ -280,7 +280,7 @@ def _periodicity(given: Any) -> PeriodicImage:
         raise InputError("it is not an object of its keys", ", ".join(PERIODIC))
     n = len(given["index"]) if isinstance(given["index"], list) else 0
     index, sign = _numbers(given["index"], (n,)), _numbers(given["sign"], (n,))
-    if (index != np.floor(index)).any() or not set(index.tolist()) <= set(range(n)) or (abs(sign) != 1).any():
+    if sorted(index.tolist()) != [*range(n)] or (abs(sign) != 1).any():
         raise InputError("index and sign are no rows with signs", "rows of v, and 1 or -1")
     moved = {
         key: None if given[key] is None else tuple(_numbers(given[key], (3,)).tolist())

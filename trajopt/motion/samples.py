@@ -1,5 +1,6 @@
 """Numeric Pinocchio at every sample of a solution: generalised forces and contact motion."""
 
+import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -126,3 +127,12 @@ def _rotation(model: pin.Model, joint: int, q: np.ndarray) -> np.ndarray:
     data = model.createData()
     pin.forwardKinematics(model, data, q)
     return np.array(data.oMi[joint].rotation)
+
+
+def warn_of_payloads(plans: Iterable[Solution], format: str) -> None:
+    """Warn of carried bodies that a format leaves out, though torques and forces include their weight."""
+    for plan in plans:
+        masses = ", ".join(f"{body.mass:g} kg on {body.frame}" for body in plan.description.payloads)
+        if masses:
+            text = f"{format} leaves out the payload: {masses}; torques and forces are those with it"
+            warnings.warn(text, UserWarning, stacklevel=2)

@@ -41,20 +41,25 @@ class Payload:
     inertia: Array33 = field(default_factory=lambda: np.zeros((3, 3)))
 
     def __post_init__(self) -> None:
-        moments = np.linalg.eigvalsh(self.inertia)
-        if not np.allclose(self.inertia, self.inertia.T) or moments[0] < 0:
-            raise InputError(
-                "inertia of a payload is not that of a rigid body", "allowed: symmetric, eigenvalues >= 0"
-            )
-        if moments[2] > moments[0] + moments[1] + 1e-12 * moments[2]:
-            raise InputError(
-                f"principal moments of a payload are {moments}", "allowed: none above the sum of the others"
-            )
+        require_rigid(self.inertia)
 
     @property
     def spatial(self) -> pin.Inertia:
         """Spatial inertia in the axes of the contact's frame, about its origin."""
         return pin.Inertia(float(self.mass), self.centre, self.inertia)
+
+
+def require_rigid(inertia: np.ndarray) -> None:
+    """Raise `InputError` for the inertia (3, 3) of a payload that no rigid body has."""
+    moments = np.linalg.eigvalsh(inertia)
+    if not np.allclose(inertia, inertia.T) or moments[0] < 0:
+        raise InputError(
+            "inertia of a payload is not that of a rigid body", "allowed: symmetric, eigenvalues >= 0"
+        )
+    if moments[2] > moments[0] + moments[1] + 1e-12 * moments[2]:
+        raise InputError(
+            f"principal moments of a payload are {moments}", "allowed: none above the sum of the others"
+        )
 
 
 def loaded_model(model: pin.Model, frame: str, body: pin.Inertia) -> pin.Model:

@@ -1,5 +1,6 @@
 """Validation of robots: contacts must exist, limits must not be empty, the reference must be within them."""
 
+import warnings
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -16,6 +17,8 @@ LIMIT_SLACK = 1e-6
 # Eigenvalues of an inertia may be negative by the first fraction of its largest, rounding in description
 # files, or by the second fraction of the robot's largest: welded bodies are added up in other axes.
 INERTIA_SLACK, WELDED_SLACK = 1e-6, 1e-15
+# A larger angle in a reference may be in degrees, rad.
+TURN = 2 * np.pi
 # Norms of the quaternions and (cos, sin) pairs of a reference may differ from 1 by this.
 UNIT_SLACK = 1e-6
 # Joints whose coordinate is a length.
@@ -102,16 +105,21 @@ def require_reference(
 ) -> None:
     """Raise `InputError` for a reference not finite, outside limits, not normalised or in gimbal lock."""
     lower, upper = position
-    if not np.isfinite(q).all():
-        raise InputError(f"reference of robot '{robot}' is not finite", "metres and radians")
+    for row in np.flatnonzero(~np.isfinite(q))[:1]:
+        raise InputError(f"reference of robot '{robot}' is not finite: {q[row]} at row {row}", "m and rad")
     outside = np.maximum(lower - q, q - upper)
     for joint in list(model.joints)[1:]:
         name, rows = model.names[joint.id], slice(joint.idx_q, joint.idx_q + joint.nq)
+        turns = joint.shortname().startswith("JointModelR") and joint.nq == 1 and abs(q[joint.idx_q]) > TURN
+        hint = f"; if {q[joint.idx_q]:g} is in degrees, {np.radians(q[joint.idx_q]):.4g} rad" if turns else ""
         if (outside[rows] > LIMIT_SLACK).any():
             raise InputError(
                 f"reference of robot '{robot}' is outside its limits at joint '{name}': {q[rows]}",
-                f"{lower[rows]} to {upper[rows]}",
+                f"{lower[rows]} to {upper[rows]}{hint}",
             )
+        if hint:
+            text = f"reference of robot '{robot}' has more than a turn at joint '{name}'{hint}"
+            warnings.warn(text, UserWarning, stacklevel=2)
     require_configuration(model, q, f"reference of robot '{robot}'")
     margin = gimbal_margin(model, q)
     if margin is not None and margin < LEAST_MARGIN:
@@ -123,8 +131,9 @@ def require_reference(
 
 def require_configuration(model: pin.Model, q: np.ndarray, what: str) -> None:
     """Raise `InputError` for a configuration of wrong shape, not finite or with rotations not normalised."""
-    if q.shape != (model.nq,) or not np.isfinite(q).all():
-        fault = "not finite" if q.shape == (model.nq,) else f"of shape {q.shape}"
-        raise InputError(f"{what} is {fault}", f"allowed: ({model.nq},), finite")
+    if q.shape != (model.nq,):
+        raise InputError(f"{what} is of shape {q.shape}", f"allowed: ({model.nq},), finite")
+    for row in np.flatnonzero(~np.isfinite(q))[:1]:
+        raise InputError(f"{what} is not finite: {q[row]} at row {row}", f"allowed: ({model.nq},), finite")
     if not pin.isNormalized(model, q, UNIT_SLACK):
         raise InputError(f"{what} has a quaternion or (cos, sin) pair that is not unit", "allowed: norm 1")

@@ -18,7 +18,7 @@ from trajopt.control.mpc.arm import ArmController, ArmSettings, ToolTarget
 from trajopt.control.mpc.commands import unreadable
 from trajopt.dynamics.model_content import joint_kind
 from trajopt.dynamics.model_quantities import contact_jacobian
-from trajopt.errors import InputError, shown
+from trajopt.errors import InputError, expanded, shown
 from trajopt.kinds import ArrayShape
 from trajopt.robot.kinematics import frame_pose
 from trajopt.robot.natural_units import NaturalUnits
@@ -194,13 +194,14 @@ class TargetPath:
         return start + gone / far * way, self._speed / far * way
 
 
-def read_targets(path: Path) -> np.ndarray:
+def read_targets(path: Path | str) -> np.ndarray:
     """Read targets from a CSV file: rows (n, 4) of `COLUMNS`, s and m; an empty field repeats the one above.
 
     Raises:
         InputError: for an unreadable file, other columns, or a line with a value that is not a finite number.
     """
     allowed = f"allowed: a CSV file with the columns {', '.join(COLUMNS)}, finite numbers"
+    path = expanded(path)
     try:
         head, *lines = path.read_text(encoding="utf-8-sig").splitlines() or [""]
     except (OSError, UnicodeDecodeError) as error:

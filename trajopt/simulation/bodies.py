@@ -101,8 +101,14 @@ def joint_axis(model: pin.Model, index: int) -> tuple[np.ndarray, bool]:
 
 
 def compile_bodies(bodies: Bodies) -> tuple[Any, CoordinateMap]:
-    """Compile a model with the inertias of the `pin.Model`; returns it with the map of its coordinates."""
-    compiled = bodies.spec.compile()
+    """Compile a model with the inertias of the `pin.Model`; returns it with the map of its coordinates.
+
+    Raises `InputError` for a model that MuJoCo refuses, as with a mesh of three points.
+    """
+    try:
+        compiled = bodies.spec.compile()
+    except ValueError as error:
+        raise InputError(f"MuJoCo refuses the model: {' '.join(str(error).split())}") from None
     addresses = []
     for index, joint in enumerate(Coordinates(bodies.model).joints, start=1):
         first = compiled.joint(part_name(index, 0))

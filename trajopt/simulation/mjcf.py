@@ -16,6 +16,7 @@ from trajopt.arguments import checked
 from trajopt.errors import InputError, expanded, first_line
 from trajopt.motion.input import SolutionOrFile, require_motion, solution_of
 from trajopt.motion.output import replacing
+from trajopt.motion.samples import warn_of_payloads
 from trajopt.motion.solution import Solution
 from trajopt.robot.mujoco_package import mujoco_package, muted_mujoco
 from trajopt.simulation.bodies import body_name, joint_axis, mujoco_quaternion, part_name
@@ -53,7 +54,9 @@ def write_mjcf(solution: SolutionOrFile, path: str | Path) -> Path:
     Raises:
         InputError: for a model that MJCF cannot express, a path that cannot be written, or without MuJoCo.
     """
-    text, target = mjcf_of(require_motion(solution_of(solution))), expanded(path)
+    plan, target = require_motion(solution_of(solution)), expanded(path)
+    warn_of_payloads([plan], "mjcf")
+    text = mjcf_of(plan)
     with replacing(target) as unfinished:
         unfinished.write_text(text, encoding="utf-8")
     return target
@@ -72,7 +75,7 @@ def mjcf_of_scene(plan: Solution, scene: Scene) -> str:
         root.set("model", str(plan.description.robot))
         for index in range(1, plan.model.njoints):
             _complete_body(root, plan.model, index)
-        for joint in root.iter("joint"):
+        for joint in root.findall("worldbody//joint"):
             _complete_joint(joint, scene)
         _light_scene(root)
         _draw_bones(root, BONE * scene.units.length)
@@ -225,6 +228,6 @@ def _names(plan: Solution) -> dict[str, str]:
 def _rename(root: ElementTree.Element, names: dict[str, str]) -> None:
     for element in root.iter():
         if element.tag in ("body", "joint", "site", "motor", "weld", "connect"):
-            for attribute in ("name", "joint", "site1", "site2"):
+            for attribute in ("name", "joint", "joint1", "joint2", "site1", "site2"):
                 if attribute in element.attrib:
                     element.set(attribute, names.get(element.attrib[attribute], element.attrib[attribute]))

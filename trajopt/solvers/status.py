@@ -15,7 +15,7 @@ class Status(Enum):
     TIME_LIMIT = "the time limit was reached: raise `max_time`, or use fewer intervals"
     INTERRUPTED = "stopped by the user: the iterate at that moment is kept, it is not a solution"
     NOT_FINITE = (
-        "a function value or derivative is not finite: look at the block named, and at the guess there"
+        "a function value or derivative is not finite: try another guess; trajopt diagnose names the first"
     )
     STEP_FAILED = "no step makes progress: try a finer grid or a perturbed start"
     INACCURATE = "the solver reports success but rows are violated beyond tolerance: tighten `tolerance`"

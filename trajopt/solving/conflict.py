@@ -52,7 +52,8 @@ def rows_of_motion(t: Transcription) -> np.ndarray:
 def why_infeasible(nlp: Nlp, point: ElasticPoint) -> str:
     """Say in one line what is violated at a point of least violation, where, and what conflicts with it.
 
-    Rows of the motion are named only if no others are violated: they propagate what goals demand.
+    Rows of the motion are named only if no others are violated: they propagate what goals demand. Flights of
+    a fixed duration are named too.
     """
     t = nlp.transcription
     names = NlpNames(nlp, point.x)
@@ -63,7 +64,15 @@ def why_infeasible(nlp: Nlp, point: ElasticPoint) -> str:
         [t.lower_g < t.upper_g, t.lower_x < t.upper_x]
     )  # equalities are left out: goals propagate what they demand
     members = members_against(names, give, np.where(limits, point.weights, 0.0))[:1]
-    return "".join([giving, *(f", against {one.what}" for one in members)])
+    return "".join([giving, *(f", against {one.what}" for one in members), _fixed_flights(t)])
+
+
+def _fixed_flights(t: Transcription) -> str:
+    """Name flights of a fixed duration, which a goal may be too high for: no row states their ballistics."""
+    phases = t.layout.schedule.phases if t.problem.robot.base != "fixed" else ()
+    flights = [each for each in phases if not each.contacts and each.duration_bounds is None]
+    named = ", ".join(f"'{flight.name}' of {flight.duration:g} s" for flight in flights)
+    return f"; flight {named}: a rise h and a fall f take sqrt(2 h / g) + sqrt(2 f / g)" if named else ""
 
 
 def members_giving(names: NlpNames, give: np.ndarray) -> tuple[ConflictMember, ...]:

@@ -278,6 +278,10 @@ def _solution(
         id(group.point): parts["value"]
         for group, parts in zip(t.groups, prepared.nlp.parts["groups"], strict=True)
     }
+    feasible = min(worst, result.recent_primal) <= TRUSTED_VIOLATION * tolerance
+    costless = not (t.problem.costs or t.problem.node_costs or t.problem.impact_costs)
+    if status is Status.NOT_FINITE:
+        place = place or nonfinite_place(prepared.nlp, result.x)
     solution = extract(
         t,
         result.x,
@@ -288,7 +292,7 @@ def _solution(
         solver_status=result.solver_status,
         success=success,
         converged=success,
-        advice=advice_for(status, place, min(worst, result.recent_primal) <= TRUSTED_VIOLATION * tolerance),
+        advice=advice_for(status, place, feasible, costless),
         iterations=result.iterations,
         objective=finite_or_none(result.objective * t.objective_unit),
         tolerance=tolerance,

@@ -27,6 +27,11 @@ DEPENDENT = (
     "all rows hold, so they may depend on each other there, as of a goal at a singular posture or stated"
     " twice: trajopt diagnose names them"
 )
+# Statuses of a solve that goes on and on, as without a cost that chooses among motions.
+ENDLESS = (Status.ITERATION_LIMIT, Status.TIME_LIMIT, Status.STEP_FAILED, Status.UNBOUNDED)
+WHEEL = "the shape of a wheel is larger than the ball that rolls, so its edge enters the ground"
+WHEEL_REMEDY = "keep the wheel upright, or give its contact the radius of the shape"
+COSTLESS = "the problem has no cost, so nothing chooses among its motions: add one, such as AccelerationCost"
 
 
 def status_by_violation(status: Status, worst: float, tolerance: float) -> Status:
@@ -38,8 +43,10 @@ def status_by_violation(status: Status, worst: float, tolerance: float) -> Statu
     return status
 
 
-def advice_for(status: Status, place: str | None, feasible: bool) -> str:
+def advice_for(status: Status, place: str | None, feasible: bool, costless: bool = False) -> str:
     """Return what to try after a status; ``place`` is where a value is not finite."""
+    if costless and status in ENDLESS:
+        return "\n".join((status.explain().splitlines()[0], COSTLESS))
     stuck = feasible and status in (Status.STEP_FAILED, Status.ITERATION_LIMIT)
     return status.explain(DEPENDENT if place is None and stuck else place or "")
 
@@ -98,7 +105,18 @@ def judged_by(solution: Solution, report: CheckReport, tolerances: Tolerances) -
     if not failures:
         return solution
     beyond = f"{report.in_words(name)}, {used:.2g} times what is allowed"
+    if name == "link_depth" and _is_of_wheel(solution, str(report.places.get(name))):
+        return _failed(solution, f"{WHEEL}\n{beyond}\n{WHEEL_REMEDY}")
     return _failed(solution, Status.COARSE_GRID.explain(beyond))
+
+
+def _is_of_wheel(solution: Solution, place: str) -> bool:
+    """Whether a place of the depth of links is a link that a rolling contact is on."""
+    plan, frames = solution.description, solution.model.frames
+    joint_of = {frame.name: frame.parentJoint for frame in frames}
+    wheels = {joint_of[contact.frame] for contact in plan.contacts if contact.rolling}
+    shapes = () if plan.bodies is None else plan.bodies.shapes
+    return any(place.startswith(f"{one.name} ") and joint_of.get(one.frame) in wheels for one in shapes)
 
 
 def _failed(solution: Solution, advice: str) -> Solution:

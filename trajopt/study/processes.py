@@ -68,14 +68,18 @@ class TaskTimeoutError(LostTaskError):
     kind = TIME_LIMIT
 
 
-class UnguardedScriptError(InputError):
-    """The script of this program starts workers whenever it is imported, and workers import it."""
+class UnguardedScriptError(InputError, SystemExit):
+    """The script of this program starts workers whenever it is imported, and workers import it.
+
+    It ends a script in one line, without a traceback.
+    """
 
     def __init__(self) -> None:
         super().__init__(
             "the script starts workers again where a worker imports it",
             'allowed: start them below `if __name__ == "__main__":`',
         )
+        self.code = str(self)
 
 
 def end_unguarded_import() -> None:

@@ -17,7 +17,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -117,7 +117,7 @@ class DuringPhases(Term):
 @checked
 @dataclass(frozen=True, kw_only=True)
 class Cost(DuringPhases, ABC):
-    """A running cost at collocation points, ``w |r|^2 / n`` of its `residual` r (n,).
+    """A running cost at collocation points, ``w |r|^2 / n`` of its `residual` r (n,), or another `value`.
 
     Args:
         weight: w, dimensionless, finite and at least zero.
@@ -129,7 +129,12 @@ class Cost(DuringPhases, ABC):
 
     weight: NonNegative
 
-    @abstractmethod
+    def __init_subclass__(cls, **settings: Any) -> None:
+        """Take the value of a class that has no residual for its whole cost."""
+        super().__init_subclass__(**settings)
+        if "value" in vars(cls) and getattr(cls.residual, "__isabstractmethod__", False):
+            cls.residual = _no_residual  # type: ignore[assignment]
+
     def residual(self, context: Context, units: Units) -> ca.SX:
         """Quantity over its unit, (n,); the cost is the weighted mean of its squares.
 
@@ -140,6 +145,10 @@ class Cost(DuringPhases, ABC):
         Returns:
             Expression (n,) of type SX.
         """
+        return _no_residual(self, context, units)
+
+    if not TYPE_CHECKING:  # for checkers a class with a value alone is whole
+        residual = abstractmethod(residual)
 
     def value(self, context: Context, units: Units) -> ca.SX:
         """Cost rate ``w |r|^2 / n`` at one point; zero where the residual has no entry."""
@@ -185,6 +194,10 @@ class Rows:
                 f"row {row} is bounded by {low[row]:g} and {high[row]:g}", "allowed: lower <= upper, no NaN"
             )
         return cls(rows, low, high, size)
+
+
+def _no_residual(cost: Cost, context: Context, units: Units) -> ca.SX:
+    raise InputError(f"cost {type(cost).__name__} has no residual", "allowed: its value")
 
 
 def column(what: str, expression: Any) -> ca.SX:

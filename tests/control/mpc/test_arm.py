@@ -68,6 +68,18 @@ def test_a_tool_turns_where_a_rotation_is_asked_for() -> None:
     assert np.linalg.norm(away) < 0.02
 
 
+@pytest.mark.long
+def test_a_pose_is_a_target_at_rest() -> None:
+    robot = robots.load("ur5")
+    pose = frame_pose(robot, robot.reference, "tool0") * pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.05]))
+    state = 0.0, robot.reference, np.zeros(robot.nv)
+    asked = ToolTarget(position=pose.translation, rotation=pose.rotation)
+    torques = [ArmController(robot, "tool0").step(*state, target) for target in (pose, asked)]
+    np.testing.assert_array_equal(*torques)
+    with pytest.raises(InputError, match=r"target of the tool is .*; allowed: a ToolTarget"):
+        ArmController(robot, "tool0").step(*state, pose.translation)  # type: ignore[arg-type]
+
+
 def test_targets_frames_and_bases_that_are_none_are_refused() -> None:
     robot = robots.load("ur5")
     with pytest.raises(InputError, match="fixed base"):

@@ -20,7 +20,7 @@ def test_a_command_holds_until_the_next() -> None:
 def test_an_empty_field_keeps_the_value_before(tmp_path: Path) -> None:
     file = tmp_path / "commands.csv"
     file.write_text("time, gait, speed, turn_rate\n0,,,\n0.5, trot, 0.4,\n\n1.5,,, -0.3\n2,stand,0,0\n")
-    script = read_commands(file, GAITS)
+    script = read_commands(str(file), GAITS)
     assert script.times == (0.0, 0.5, 1.5, 2.0)
     assert script.commands == (
         Command(),

@@ -34,7 +34,7 @@ from trajopt.control.mpc.motion import FollowedSample, HorizonMotion, predicted,
 from trajopt.control.mpc.plans import FRESH, Plans, SolverSettings
 from trajopt.control.mpc.receding import RecedingHorizon
 from trajopt.control.mpc.shifting import resampled
-from trajopt.errors import InputError, finite_array
+from trajopt.errors import InputError, finite_array, shown
 from trajopt.robot.contact import require_frame
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
@@ -170,6 +170,14 @@ class NearLinks(PointConstraint):
         return Rows.create(ca.vertcat(*apart), 0.0, np.inf, units.length) if apart else None
 
 
+def _tool_target(given: object) -> ToolTarget:
+    if isinstance(given, pin.SE3):
+        return ToolTarget(position=given.translation, rotation=given.rotation)
+    if not isinstance(given, ToolTarget):
+        raise InputError(f"target of the tool is {shown(given)}", "allowed: a ToolTarget, or a pinocchio.SE3")
+    return given
+
+
 class ArmController(RecedingHorizon):
     """Receding-horizon control of a fixed-base robot whose tool follows a target.
 
@@ -225,9 +233,13 @@ class ArmController(RecedingHorizon):
         usual[own] = np.minimum(usual[own], self.scene.distances(self.robot.reference)[0, own])
         return usual
 
-    def step(self, time: float, q: np.ndarray, v: np.ndarray, target: ToolTarget) -> np.ndarray:
-        """Torques (nu,) of the tick at ``time`` s in the measured state (nq,), (nv,). Raises `InputError`."""
+    def step(self, time: float, q: np.ndarray, v: np.ndarray, target: ToolTarget | pin.SE3) -> np.ndarray:
+        """Torques (nu,) of the tick at ``time`` s in the measured state (nq,), (nv,).
+
+        ``target`` may be a pose at rest. Raises `InputError`.
+        """
         require_state(self.robot, time, q, v)
+        target = _tool_target(target)
         motion = self.plans.motion
 
         def make(begin: float) -> HorizonMotion:

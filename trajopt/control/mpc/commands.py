@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 from trajopt.arguments import checked
-from trajopt.errors import InputError, finite_number
+from trajopt.errors import InputError, expanded, finite_number
 
 # The gait of a robot that stands.
 STAND = "stand"
@@ -65,12 +65,13 @@ class CommandScript:
         return self.commands[max(bisect_right(self.times, time) - 1, 0)]
 
 
-def read_commands(path: Path, gaits: Sequence[str]) -> CommandScript:
+def read_commands(path: Path | str, gaits: Sequence[str]) -> CommandScript:
     """Read a script from a CSV file with the column time and any of gait, speed, lateral, turn_rate, height.
 
     An empty field keeps the previous value. Raises `InputError` with the line for times that do not increase
     from 0, unknown columns or gaits, and values that are not finite numbers.
     """
+    path = expanded(path)
     known = [field.name for field in fields(Command)]
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:

@@ -62,7 +62,7 @@ def _points(axes: Axes, rows: Sequence[Summary]) -> None:
     axes.step(*_xy(best), where="post", color=FRONT_COLOR, linewidth=1.0, alpha=0.6)
     default = [row for row in rows if row.is_default]
     axes.plot(
-        *_xy(default), marker="*", color=DEFAULT_COLOR, label="default", linestyle="none", markersize=13
+        *_xy(default), marker="*", color=DEFAULT_COLOR, label="base setting", linestyle="none", markersize=13
     )
 
 
@@ -71,7 +71,7 @@ def _xy(rows: Sequence[Summary]) -> tuple[list[float], list[float]]:
 
 
 def _labels(axes: Axes, rows: Sequence[Summary], legend: Legend) -> None:
-    """Label the front and the default, then the other settings where there is room.
+    """Label the front and the base setting, then the other settings where there is room.
 
     Each label takes the first place, near to far, where it covers neither a marker, the line through the
     front nor another label.
@@ -95,7 +95,7 @@ def _label(axes: Axes, row: Summary, taken: list[Bbox], *, must: bool) -> None:
     from matplotlib.text import Text
 
     color = DEFAULT_COLOR if row.is_default else FRONT_COLOR if row.on_front else DOMINATED_COLOR
-    text = f"{row.label} (default)" if row.is_default else row.label
+    text = f"{row.label} (base)" if row.is_default else row.label
     line = {"arrowstyle": "-", "color": color, "linewidth": 0.5}
     frame = axes.get_window_extent()
     distances = DISTANCES if must else DISTANCES[:2]

@@ -289,7 +289,7 @@ def _cells(row: Summary, default: float) -> dict[str, str]:
     gap = row.accuracy.get("objective_gap")
     note = row.dominated_by or ("front" if row.on_front else row.failure or "error not known")
     return {
-        "setting": f"{row.label}{' (default)' if row.is_default else ''}",
+        "setting": f"{row.label}{' (base)' if row.is_default else ''}",
         "solved": f"{len(row.solved)}/{len(row.runs)}",
         "iter": "" if iterations is None else f"{iterations:g}",
         "time": f"{row.time:.3g} s" if math.isfinite(row.time) else "",
