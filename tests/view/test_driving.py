@@ -25,6 +25,7 @@ from trajopt.simulation.driven_scene import DrivenScene
 from trajopt.view.driving.drawing import Painter
 from trajopt.view.driving.drivers import SLOW, ArmDriver, LegsDriver
 from trajopt.view.driving.live import LiveDrive
+from trajopt.view.driving.server import DriveServer
 from trajopt.view.driving.session import SILENCE, DriveSession
 from trajopt.view.replay.browser import FLAGS, find_chromium
 
@@ -422,3 +423,18 @@ def test_the_target_is_dragged_in_the_picture_and_the_arm_follows():
         assert until(lambda: page.evaluate(CAMERA) != pytest.approx(camera))
         assert errors == []
         browser.close()
+
+
+def test_a_page_says_what_is_prepared_until_it_is_shown() -> None:
+    server = DriveServer(prepared="go2 <quick>")
+    try:
+        with urllib.request.urlopen(server.url, timeout=LIMIT) as answer:
+            waiting = answer.read().decode()
+        server.show("<p>ready</p>", [], lambda wanted: None)
+        with urllib.request.urlopen(server.url, timeout=LIMIT) as answer:
+            ready = answer.read().decode()
+    finally:
+        server.close()
+    assert "Preparing go2 &lt;quick&gt;." in waiting
+    assert '<meta http-equiv="refresh" content="1">' in waiting
+    assert ready == "<p>ready</p>"

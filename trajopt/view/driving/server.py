@@ -7,6 +7,7 @@ and requests for other host names are refused.
 from __future__ import annotations
 
 import asyncio
+import html
 import json
 import threading
 from collections.abc import Callable, Sequence
@@ -28,22 +29,29 @@ PORTS, LAST_PORT = range(7000, 7100), 65535
 # Largest command in bytes, and time limit for stopping the server, s.
 LONGEST, END = 10_000, 5.0
 JSON = "application/json"
+# The page while a drive is prepared: it is loaded anew each second.
+WAITING = """<!DOCTYPE html>
+<html lang="en"><head><meta charset="utf-8"><meta http-equiv="refresh" content="1"><title>Preparing</title>
+<style>body {{ font: 1.2rem sans-serif; margin: 4rem; }}</style></head>
+<body><p>Preparing {}.</p><p>The page appears when it is ready.</p></body></html>
+"""
 
 
 class DriveServer:
-    """Serves the page of a drive, which is empty until `show`.
+    """Serves the page of a drive; until `show`, one that says what is prepared and loads the other by itself.
 
     Args:
         port: to listen on; default: the first free one of `PORTS`.
+        prepared: what is prepared until then.
 
     Raises:
         InputError: for a port that is taken or not allowed.
     """
 
-    def __init__(self, port: int | None = None) -> None:
+    def __init__(self, port: int | None = None, prepared: str = "the drive") -> None:
         if port is not None and not 0 < port <= LAST_PORT:
             raise InputError(f"port is {port}", f"allowed: 1 to {LAST_PORT}")
-        self.page, self.scene = "", list[bytes]()
+        self.page, self.scene = WAITING.format(html.escape(prepared)), list[bytes]()
         self.obey: Callable[[Any], None] = _nothing_yet
         self.latest: dict[str, bytes] = {}
         self.browsers: set[_Browser] = set()
