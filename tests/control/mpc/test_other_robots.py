@@ -73,7 +73,7 @@ def test_a_quadruped_on_wheels_stands_still_and_rolls_over_whole_turns() -> None
     assert (run.record.force[20:, :, 2] > 0).all()
     qpos, qvel, count = run.record.qpos, run.record.qvel, len(run.record.feet)
     rates = run.scene.coordinates.rates_from_mujoco(qpos[:count], qvel[:count])
-    turned = np.sum(rates[:, list(wheel_rows(run.robot).values())], axis=0) * run.timeline.period
+    turned = np.sum(rates[:, list(wheel_rows(run.controller.robot).values())], axis=0) * run.timeline.period
     assert run.record.qpos[-1, 0] / WHEEL > 2 * np.pi
     np.testing.assert_allclose(turned, run.record.qpos[-1, 0] / WHEEL, rtol=0.05)
     controller = run.controller
