@@ -1,4 +1,4 @@
-"""An extension of Griffe: `trajopt.robot` is a package there, although its stub says that it can be called."""
+"""An extension of Griffe: `trajopt.robot` is a package, although its stub says that it can be called."""
 
 from typing import Any
 
