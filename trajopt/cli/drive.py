@@ -180,7 +180,8 @@ def _live(robot: str, output: Path | None, how: dict[str, Any], **options: Any) 
         raise InputError(
             f"robot '{loaded.name}' has a fixed base", "allowed: with --target, an arm's tool follows"
         )
-    live = LiveDrive(loaded, **options)
+    with busy(f"preparing {loaded.name}"):
+        live = LiveDrive(loaded, **options)
     with live, INTERRUPTION.deferring():
         say("Ctrl-C ends the drive", err=True)
         live.run(**how, leaving=lambda: INTERRUPTION.pressed)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import sys
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -52,10 +51,8 @@ class LiveDrive:
         obstacles: Sequence[Obstacle] = (),
         **options: Any,
     ) -> None:
-        prepared = f"{robot.name}: its shapes and its first plans are computed"
-        server = DriveServer(port, prepared)
+        server = DriveServer(port, f"{robot.name}: its shapes and its first plans are computed")
         try:
-            print(f"preparing {prepared}; page at {server.url}", file=sys.stderr, flush=True)
             arm = ArmDriver(robot, settings=settings, obstacles=obstacles) if target else None
             self.session = DriveSession(arm or LegsDriver(robot, gaits, settings), **options)
             scene, facts = scene_of(self.session.stand, self.session.driver)
