@@ -14,7 +14,7 @@ import trajopt
 from tests.support.command_lines import assert_refused, invoke
 from tests.support.damaged_files import arrays_of, saved
 from tests.support.ground import HILLS
-from tests.support.synthetic_motions import Motion, arm_motion, sampled, standing, with_meta
+from tests.support.synthetic_motions import arm_motion, at_rest, sampled, standing, with_meta
 from trajopt.collision.description import robot_shapes
 from trajopt.collision.shapes import BoxObstacle, LinkShape, SphereObstacle
 from trajopt.errors import InputError, TrajoptError
@@ -136,18 +136,8 @@ def arm() -> Solution:
 def multirotor() -> Solution:
     """Iris above hills with its thrusters, still."""
     robot = robots.load("iris")
-    still = np.zeros(robot.nv)
-    hover = Motion(
-        duration=0.2,
-        contacts=(),
-        q=lambda t: robot.reference,
-        v=lambda t: still,
-        a=lambda t: still,
-        tau=lambda t: np.zeros(robot.nu),
-        f=lambda t: np.zeros((0, 6)),
-    )
     thrusters = [thruster.to_meta() for thruster in robot.thrusters]
-    return sampled(robot, [hover], 2, terrain=HILLS.describe(), thrusters=thrusters)
+    return sampled(robot, [at_rest(robot, 0.2)], 2, terrain=HILLS.describe(), thrusters=thrusters)
 
 
 CONTENTS = {"a quadruped": quadruped, "an arm": arm, "a multirotor": multirotor}

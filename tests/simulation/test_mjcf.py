@@ -15,7 +15,7 @@ import trajopt
 from tests.support.models import JOINT_KINDS, hand_built, random_state
 from tests.support.refusals import assert_refused_in_one_line
 from tests.support.sampled_problems import solution_of_kind
-from tests.support.synthetic_motions import Motion, sampled
+from tests.support.synthetic_motions import at_rest, sampled
 from trajopt.motion.solution import Solution
 from trajopt.robot.actuators.mimic import MimicJoint
 from trajopt.robot.robot import Robot
@@ -58,17 +58,7 @@ print(json.dumps({
 
 def standing_still(robot: Robot) -> Solution:
     """A plan that holds the reference posture without torques."""
-    zero = np.zeros(robot.nv)
-    still = Motion(
-        duration=0.1,
-        contacts=(),
-        q=lambda t: robot.reference,
-        v=lambda t: zero,
-        a=lambda t: zero,
-        tau=lambda t: zero[robot.n_unactuated :],
-        f=lambda t: np.zeros((len(robot.contacts), 6)),
-    )
-    return sampled(robot, [still], 2)
+    return sampled(robot, [at_rest(robot, 0.1)], 2)
 
 
 def assert_same_dynamics(plan: Solution, written: mujoco.MjModel, scene: Scene, seed: int) -> None:
@@ -169,17 +159,9 @@ def test_what_mjcf_cannot_express_is_refused_and_leaves_nothing(tmp_path: Path) 
 def test_a_joint_that_follows_another_is_an_equality_of_their_names() -> None:
     rule = MimicJoint(joint="wrist_2_joint", mimics="wrist_1_joint", ratio=-0.5, offset=0.1)
     robot: Robot = trajopt.robot("ur5").with_mimics([rule])
-    rest = np.zeros(robot.nv)
-    still = Motion(
-        duration=0.2,
-        contacts=(),
-        q=lambda t: robot.reference,
-        v=lambda t: rest,
-        a=lambda t: rest,
-        tau=lambda t: np.zeros(robot.nu),
-        f=lambda t: np.zeros((0, 6)),
+    model = mujoco.MjModel.from_xml_string(
+        mjcf_of(sampled(robot, [at_rest(robot, 0.2)], 2, mimics=[rule.to_meta()]))
     )
-    model = mujoco.MjModel.from_xml_string(mjcf_of(sampled(robot, [still], 2, mimics=[rule.to_meta()])))
     assert model.neq == 1
     names = [model.joint(int(number)).name for number in (model.eq_obj1id[0], model.eq_obj2id[0])]
     assert names == ["wrist_2_joint", "wrist_1_joint"]

@@ -7,7 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from tests.support.synthetic_motions import arm_motion, sampled, standing, with_meta
+from tests.support.synthetic_motions import arm_motion, at_rest, sampled, standing, with_meta
 from trajopt import Solution
 from trajopt.collision.description import robot_shapes
 from trajopt.collision.shapes import LinkShape, SphereObstacle
@@ -168,15 +168,7 @@ def test_passive_joints_get_no_torque():
 
 
 def standing_pendulum(robot) -> Solution:
-    still = np.zeros(robot.nv)
-    motion = replace(
-        arm_motion(robots.load("ur5")),
-        q=lambda t: robot.reference,
-        v=lambda t: still,
-        a=lambda t: still,
-        tau=lambda t: np.zeros(robot.nu),
-    )
-    return sampled(robot, [motion], 4)
+    return sampled(robot, [at_rest(robot, 1.0)], 4)
 
 
 def test_joints_that_the_plan_takes_into_the_ground_are_named(stand):

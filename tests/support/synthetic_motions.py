@@ -98,6 +98,20 @@ def sampled(
     )
 
 
+def at_rest(robot: Robot, duration: float) -> Motion:
+    """The reference posture over time, without torques and without contacts."""
+    still = np.zeros(robot.nv)
+    return Motion(
+        duration=duration,
+        contacts=(),
+        q=lambda t: robot.reference,
+        v=lambda t: still,
+        a=lambda t: still,
+        tau=lambda t: np.zeros(robot.nu),
+        f=lambda t: np.zeros((len(robot.contacts), 6)),
+    )
+
+
 def arm_motion(robot: Robot, duration: float = 1.0) -> Motion:
     """An arm without contacts on a sine in every joint, torques by inverse dynamics."""
     data = robot.model.createData()

@@ -16,7 +16,7 @@ from scipy.spatial import ConvexHull, cKDTree
 
 from tests.support.page_meshes import array_of, restored
 from tests.support.replay_pages import hopping, objects_of, placements_of, shown
-from tests.support.synthetic_motions import Motion, arm_motion, sampled, with_meta
+from tests.support.synthetic_motions import arm_motion, at_rest, sampled, with_meta
 from trajopt.robot.data import robot_file
 from trajopt.view.replay.collada import ColladaError, read_collada
 from trajopt.view.replay.meshes import LEVELS, compact_geometry
@@ -223,17 +223,9 @@ SKELETON_SINGLE_PRECISION = 2e-6  # of lengths around one
 
 def test_trunk_of_a_skeleton_is_the_box_of_its_inertia(tmp_path):
     robot = robots.load("hopper")
-    data, still = robot.model.createData(), np.zeros(robot.nv)
+    data, force = robot.model.createData(), np.array([[0.0, 0, 98.1, 0, 0, 0]])
     pin.framesForwardKinematics(robot.model, data, robot.reference)
-    stance = Motion(
-        duration=DURATION,
-        contacts=("foot",),
-        q=lambda t: robot.reference,
-        v=lambda t: still,
-        a=lambda t: still,
-        tau=lambda t: still[3:],
-        f=lambda t: np.array([[0.0, 0, 98.1, 0, 0, 0]]),
-    )
+    stance = replace(at_rest(robot, DURATION), contacts=("foot",), f=lambda t: force)
     scene = shown(sampled(robot, [stance], INTERVALS), tmp_path)
     path = next(path for path in objects_of(scene) if path.endswith("/trunk"))
     box, place = objects_of(scene)[path]["geometries"][0], placements_of(scene)[path]

@@ -287,12 +287,12 @@ def _quaternion_error(plan: Solution) -> float | None:
 
 def _phases(motion: MotionQuantities, local: LocalErrors, integrate: bool) -> Iterator[PhaseReport]:
     plan = motion.solution
+    held = plan.description.dynamics == "held"
     for index, phase in enumerate(plan.phases):
         inside = slice(plan.intervals_of(index).start, plan.intervals_of(index).stop)
         sums = float(local.position[inside].sum()), float(local.joints[inside].sum())
-        held = plan.description.dynamics == "held"
         error, integrated = None, held and (integrate or _may_miss(sums))
-        if integrated and integrate:
+        if held and integrate:
             error = open_loop(motion, index)
         elif integrated:
             error = open_loop(motion, index, ROUGH_ERROR, (STABLE_GROWTH * sums[0], STABLE_GROWTH * sums[1]))

@@ -312,21 +312,23 @@ class CheckReport:
         for name, shown in FIGURES.items():
             value = getattr(self, name)
             limit = None if shown.tolerance is None else getattr(limits, shown.tolerance)
-            unstable = name in OPEN_LOOP and limit is not None and value is not None and value > limit
-            if value is not None:
-                idle = unstable and not self._fails(name, limits)
-                measured.append(
-                    MeasuredFigure(
-                        text=shown.text,
-                        value=value,
-                        unit=shown.unit,
-                        limit=None if idle else -limit if shown.margin and limit is not None else limit,
-                        lower=shown.margin or shown.least,
-                        why="unstable" if idle else shown.why,
-                        beyond=self._fails(name, limits),
-                        place=self.places.get(name),
-                    )
+            if value is None:
+                continue
+            fails = self._fails(name, limits)
+            # An open loop is judged in stable phases alone.
+            idle = name in OPEN_LOOP and limit is not None and value > limit and not fails
+            measured.append(
+                MeasuredFigure(
+                    text=shown.text,
+                    value=value,
+                    unit=shown.unit,
+                    limit=None if idle else -limit if shown.margin and limit is not None else limit,
+                    lower=shown.margin or shown.least,
+                    why="unstable" if idle else shown.why,
+                    beyond=fails,
+                    place=self.places.get(name),
                 )
+            )
         return tuple(measured)
 
     def in_words(self, name: str) -> str:

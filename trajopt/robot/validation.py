@@ -105,8 +105,7 @@ def require_reference(
 ) -> None:
     """Raise `InputError` for a reference not finite, outside limits, not normalised or in gimbal lock."""
     lower, upper = position
-    for row in np.flatnonzero(~np.isfinite(q))[:1]:
-        raise InputError(f"reference of robot '{robot}' is not finite: {q[row]} at row {row}", "m and rad")
+    require_configuration(model, q, f"reference of robot '{robot}'")
     outside = np.maximum(lower - q, q - upper)
     for joint in list(model.joints)[1:]:
         name, rows = model.names[joint.id], slice(joint.idx_q, joint.idx_q + joint.nq)
@@ -120,7 +119,6 @@ def require_reference(
         if hint:
             text = f"reference of robot '{robot}' has more than a turn at joint '{name}'{hint}"
             warnings.warn(text, UserWarning, stacklevel=2)
-    require_configuration(model, q, f"reference of robot '{robot}'")
     margin = gimbal_margin(model, q)
     if margin is not None and margin < LEAST_MARGIN:
         raise InputError(

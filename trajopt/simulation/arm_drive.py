@@ -16,13 +16,13 @@ from trajopt.certify.figures import figure
 from trajopt.collision import Obstacle
 from trajopt.control.mpc.arm import ArmController, ArmSettings, ToolTarget
 from trajopt.control.mpc.commands import unreadable
-from trajopt.dynamics.model_content import joint_kind
 from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.errors import InputError, expanded, shown
 from trajopt.kinds import ArrayShape
 from trajopt.robot.kinematics import frame_pose
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.robot.robot import Robot
+from trajopt.robot.validation import STRAIGHT
 from trajopt.simulation.clock import lockstep
 from trajopt.simulation.drive_report import PlanFigures, plan_figures
 from trajopt.simulation.driven_scene import DrivenScene
@@ -152,9 +152,9 @@ def slide_ranges(robot: Robot, frame: str) -> np.ndarray:
     """
     model, most, ranges = robot.model, MOST_SLIDE * robot.length, np.zeros((2, 3))
     moved = contact_jacobian(model, robot.reference, [(frame, 3)])
-    for index in range(1, model.njoints):
-        if joint_kind(model, index).startswith("P") and model.joints[index].nq == 1:
-            row, at = model.joints[index].idx_v, model.joints[index].idx_q
+    for joint in list(model.joints)[1:]:
+        if joint.nq == 1 and joint.shortname().startswith(STRAIGHT):
+            row, at = joint.idx_v, joint.idx_q
             limits = np.array([robot.position_lower[at], robot.position_upper[at]]) - robot.reference[at]
             ends = np.clip(limits, -most, most)[:, None] * moved[:, row]
             ranges += [ends.min(axis=0), ends.max(axis=0)]

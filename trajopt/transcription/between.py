@@ -81,11 +81,8 @@ def _between_points(
 ) -> Iterator[tuple[np.ndarray, float, np.ndarray]]:
     layout, stages = transcription.layout, group.stages
     loads = tuple(contact.name for contact in layout.contacts[int(layout.phase_of[stages[0]])])
-    windows, times, steps = (
-        _windows(transcription, stages, x),
-        layout.node_times[stages],
-        layout.steps[stages],
-    )
+    windows = _windows(transcription, stages, x)
+    times, steps = layout.node_times[stages], layout.steps[stages]
     for fraction in _fractions(transcription, int(stages[0]), points=True).tolist():
         gather = transcription.collocation.moment_gather(int(stages[0]), fraction, loads)
         parameters = group.parameters.copy()

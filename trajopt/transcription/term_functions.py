@@ -55,7 +55,8 @@ class TermFunctions:
     layout: Layout
     units: Mapping[int, Units]
     _kept: dict[int, dict[str, tuple[int, ...]]] = field(default_factory=dict, init=False)
-    _effects: dict[str, bool] = field(default_factory=dict, init=False)
+    # Each term that states something, by identity, and whether it can vary.
+    _effects: dict[int, tuple[Term, bool]] = field(default_factory=dict, init=False)
 
     def point(self, phase: int) -> StageTerms:
         """Function of a phase's collocation points."""
@@ -164,10 +165,10 @@ class TermFunctions:
 
     def require_effects(self) -> None:
         """Raise `InputError` for a term whose rows or residuals are constant wherever it acts."""
-        for name, varies in self._effects.items():
+        for term, varies in self._effects.values():
             if not varies:
                 raise InputError(
-                    f"{name} cannot vary: it depends neither on the motion nor on forces",
+                    f"{term.name} cannot vary: it depends neither on the motion nor on forces",
                     "allowed: expressions of the context's symbols; torques, wrenches and frames are symbols"
                     " of their own, and context.rate(...) differentiates along the motion",
                 )
@@ -179,18 +180,20 @@ class TermFunctions:
 
         A constant cost other than zero is a price of time.
         """
+        if self._effects.get(id(term), (term, False))[1]:
+            return result_of(term, phase, build, context, *more)
         before = context.squares[0].numel()
         result = result_of(term, phase, build, context, *more)
-        if isinstance(result, Rows):
-            expression, states = result.expression, result.expression.numel() > 0
-        elif result is None:
-            return None
-        else:
+        expression = result.expression if isinstance(result, Rows) else result
+        if expression is None or expression.numel() == 0:
+            return result
+        varies = context.varies(expression)
+        states = isinstance(result, Rows)
+        if not states and expression.is_zero():  # a residual that is zero, not one without entries
             own = getattr(type(term), "value", None) not in (Cost.value, NodeCost.value)
-            expression = result
-            states = result.is_zero() and (own or context.squares[0].numel() > before)
-        if states or context.varies(expression):
-            self._effects[term.name] = self._effects.get(term.name, False) or context.varies(expression)
+            states = own or context.squares[0].numel() > before
+        if varies or states:
+            self._effects[id(term)] = term, varies
         return result
 
     def redundant(self) -> dict[str, list[str]]:
