@@ -62,6 +62,7 @@ def quadruped() -> Solution:
         LinkShape(name=foot, frame=foot, points=np.array([[0.0] * 3, [0.0, 0.0, 0.1]]), radius=0.01)
         for foot in feet[:2]
     ]
+    carried = {bodies["shapes"][-1]["name"]: {"phases": [0], "rests_on": ["ball"]}}
     level = Surface(point=np.zeros(3), normal=np.array([0.0, 0.0, 1.0]))
     block = {"block": "defect", "phase": "stance", "node": 1, "point": 1, "time": 0.1, "violation": 1e-9}
     solve = {"transcription": "legendre:2", "intervals": [2], "variables": 9, "iterations": 3}
@@ -74,7 +75,7 @@ def quadruped() -> Solution:
         contact_rolling=[False] * 4,
         phase_names=["stance"],
         terrain=PiecewiseTerrain.stairs(0.1, 0.3, 2, at=(1.0, 0.0)).describe(),
-        bodies=bodies | {"margins": {"obstacles": 0.01, "pairs": [0.0]}},
+        bodies=bodies | {"margins": {"obstacles": 0.01, "pairs": [0.0]}, "carried": carried},
         collision={
             "capsules": [shape.describe() for shape in capsules],
             "obstacles": [ball.describe(), box.describe()],

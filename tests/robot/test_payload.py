@@ -141,6 +141,8 @@ test_invalid_payloads_are_refused = refusals(
     ({"mass": 1.0, "centre": [0, 0]}, "centre"),
     ({"mass": 1.0, "inertia": -np.eye(3)}, "inertia"),
     ({"mass": 1.0, "inertia": np.diag([1.0, 0.1, 0.1])}, "moments"),
+    ({"mass": 1.0, "radius": 0.1}, "no points"),
+    ({"mass": 1.0, "points": np.zeros((0, 3))}, "no points"),
 )
 
 

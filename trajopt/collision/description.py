@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import xml.etree.ElementTree as Tree
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -15,10 +15,10 @@ import pinocchio as pin
 
 from trajopt.arguments import checked
 from trajopt.collision.hulls import joint_frame, read_shapes
-from trajopt.collision.near import CollisionScene, ShapePair
+from trajopt.collision.near import CollisionScene, ShapePair, separable_pairs
 from trajopt.collision.shapes import LinkShape, Obstacle
 from trajopt.dynamics.base_joint import BASE_ROWS
-from trajopt.errors import InputError
+from trajopt.errors import InputError, shown
 from trajopt.robot.building import reach
 from trajopt.robot.mjcf import excluded_bodies
 from trajopt.robot.robot import Robot
@@ -47,6 +47,25 @@ NAMED_SHAPES = 3
 THINNEST = 0.02
 
 
+@dataclass(frozen=True, kw_only=True)
+class Carried:
+    """The phases in which a shape is carried, and the obstacles that it rests on at their start or end."""
+
+    phases: tuple[int, ...]
+    rests_on: tuple[str, ...] = ()
+
+    @classmethod
+    def from_description(cls, described: Any) -> Carried:
+        """Return the entry from its fields in a file. Raises InputError."""
+        known = isinstance(described, dict) and set(described) == {"phases", "rests_on"}
+        if not known or not all(isinstance(entry, list) for entry in described.values()):
+            raise InputError(f"a carried body has {shown(described)}", "allowed: lists phases, rests_on")
+        phases, under = described["phases"], described["rests_on"]
+        if not all(type(phase) is int and phase >= 0 for phase in phases):
+            raise InputError(f"phases of a carried body are {shown(phases)}", "allowed: numbers of phases")
+        return cls(phases=tuple(phases), rests_on=tuple(map(str, under)))
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RobotShapes:
     """Shapes of a robot's links, see `robot_shapes`.
@@ -58,6 +77,7 @@ class RobotShapes:
         missing: Geometry of the description that could not be read.
         above_ground: Whether the ground is an obstacle to the robot; False for a fixed base whose links reach
             below the world's origin in the reference posture, such as a pendulum.
+        carried: The shapes that are carried bodies, by name; they are there in some phases only.
     """
 
     shapes: tuple[LinkShape, ...] = ()
@@ -65,6 +85,33 @@ class RobotShapes:
     left_out: Mapping[ShapePair, str] = field(default_factory=dict)
     missing: tuple[str, ...] = ()
     above_ground: bool = True
+    carried: Mapping[str, Carried] = field(default_factory=dict)
+
+    def with_carried(
+        self, robot: Robot, bodies: Mapping[str, Carried], shapes: Sequence[LinkShape]
+    ) -> RobotShapes:
+        """Return these shapes and those of carried ``bodies``, which keep apart from links if they can.
+
+        Pairs are those of `separable_pairs`; the others are left out.
+        """
+        every = (*self.shapes, *shapes)
+        apart = separable_pairs(robot.model, every, robot.reference, 0.0)
+        pairs = tuple(pair for pair in apart if not bodies.keys().isdisjoint(pair))
+        return replace(self, shapes=every, pairs=(*self.pairs, *pairs), carried={**self.carried, **bodies})
+
+    def present(self, pairs: Sequence[ShapePair], phases: Sequence[int] | np.ndarray) -> np.ndarray:
+        """Return a mask (K, n) of the phases (K,) in which both bodies of each of n pairs are there."""
+        there = np.ones((len(phases), len(pairs)), dtype=bool)
+        for name, body in self.carried.items():
+            columns = [column for column, pair in enumerate(pairs) if name in pair]
+            there[:, columns] &= np.isin(phases, body.phases)[:, None]
+        return there
+
+    def resting(self, pairs: Sequence[ShapePair]) -> np.ndarray:
+        """Return a mask (n,) of pairs of a carried body and an obstacle that it rests on."""
+        return np.array(
+            [one in self.carried and other in self.carried[one].rests_on for one, other in pairs], dtype=bool
+        )
 
     def scene(
         self, model: pin.Model, terrain: Terrain | None = None, obstacles: Sequence[Obstacle] = ()
@@ -104,6 +151,7 @@ class RobotShapes:
             "left_out": [[*pair, reason] for pair, reason in self.left_out.items()],
             "missing": list(self.missing),
             "above_ground": self.above_ground,
+            **({"carried": {n: vars(body) for n, body in self.carried.items()}} if self.carried else {}),
         }
 
     @classmethod
@@ -116,15 +164,25 @@ class RobotShapes:
             raise InputError(
                 f"bodies have {len(described['shapes'])} shapes", f"allowed: up to {MOST_SHAPES}"
             )
+        carried = described.get("carried", {})
+        if not isinstance(carried, dict):
+            raise InputError(f"carried bodies are {shown(carried)}", "allowed: an object by name of a shape")
         for key, size in (("pairs", 2), ("left_out", 3)):
             if not all(isinstance(entry, list) and len(entry) == size for entry in described[key]):
                 raise InputError(f"{key} of bodies are not lists of {size} words", "names, and a reason")
+        shapes = tuple(LinkShape.from_description(entry) for entry in described["shapes"])
+        unknown = carried.keys() - {shape.name for shape in shapes}
+        if unknown:
+            raise InputError(
+                f"carried bodies {shown(sorted(unknown))} are no shapes", "allowed: names of shapes"
+            )
         return cls(
-            shapes=tuple(LinkShape.from_description(entry) for entry in described["shapes"]),
+            shapes=shapes,
             pairs=tuple((str(first), str(second)) for first, second in described["pairs"]),
             left_out={(str(a), str(b)): str(reason) for a, b, reason in described["left_out"]},
             missing=tuple(str(entry) for entry in described["missing"]),
             above_ground=bool(described.get("above_ground", True)),
+            carried={name: Carried.from_description(body) for name, body in carried.items()},
         )
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from trajopt.collision.description import RobotShapes
 from trajopt.collision.near import CollisionScene
 from trajopt.motion.solution import Solution
 from trajopt.motion.traces import Trace, Traces
@@ -23,12 +24,14 @@ class FileBodies:
     kinds: (n,) kind of the second body of each pair of all scenes.
     margins: (n,) distances that the pairs must keep, m.
     within: (n,) distances beyond which values are only lower bounds, m.
+    present: (n_phases, n) phases in which both bodies are there.
     """
 
     scenes: tuple[CollisionScene, ...]
     kinds: np.ndarray
     margins: np.ndarray
     within: np.ndarray
+    present: np.ndarray
 
     @classmethod
     def of(cls, plan: Solution) -> tuple[FileBodies, Traces]:
@@ -42,43 +45,47 @@ class FileBodies:
             for scene in scenes
         ]
         asked = np.concatenate([np.zeros(0), *margins])
+        shapes, phases = plan.description.bodies or RobotShapes(), range(len(plan.description.phase_names))
+        there = [shapes.present(scene.pairs, phases) for scene in scenes]
         measured = cls(
             scenes=tuple(scenes),
             kinds=np.array([kind for part in scenes for kind in _kinds(part)], dtype=object),
             margins=asked,
             within=np.full(len(asked), RANGE + asked.max(initial=0.0)),
+            present=np.concatenate([np.zeros((len(phases), 0), dtype=bool), *there], axis=1),
         )
-        distances = measured.distances(plan.q)
+        distances = measured.distances(plan)
         reach = measured.within.copy()
         for kind in KINDS:
             of_kind = measured.kinds == kind
             short = distances[:, of_kind] - asked[of_kind]
             if short.size and short.min() > RANGE:  # only bounds: the nearest pair is at most as far as here
-                at = plan.q[np.unravel_index(short.argmin(), short.shape)[0]]
-                exact = np.concatenate([scene.distances(at)[0] for scene in scenes])
+                row = np.unravel_index(short.argmin(), short.shape)[0]
+                exact = np.concatenate([scene.distances(plan.q[row])[0] for scene in scenes])
+                exact[~measured.present[plan.phase[row]]] = np.inf
                 reach[of_kind] = (exact - asked)[of_kind].min() + asked.max(initial=0.0)
         if (reach > measured.within).any():
             measured = replace(measured, within=reach)
-            distances = measured.distances(plan.q)
+            distances = measured.distances(plan)
         return measured, measured._traces(distances)
 
-    def distances(self, q: np.ndarray) -> np.ndarray:
-        """Return the distances (K, n) m of all pairs at configurations (K, nq)."""
+    def distances(self, plan: Solution) -> np.ndarray:
+        """Return the distances (K, n) m of all pairs at samples; infinite where a body is not carried."""
         parts = np.split(self.within, np.cumsum([len(scene.pairs) for scene in self.scenes])[:-1])
-        columns = [scene.distances(q, part) for scene, part in zip(self.scenes, parts, strict=False)]
-        return np.concatenate([np.zeros((len(q), 0)), *columns], axis=1)
+        columns = [scene.distances(plan.q, part) for scene, part in zip(self.scenes, parts, strict=False)]
+        every = np.concatenate([np.zeros((len(plan.q), 0)), *columns], axis=1)
+        return np.where(self.present[plan.phase], every, np.inf)
 
     def traces(self, plan: Solution) -> Traces:
         """Return the depth in the ground and the distances, m, of all pairs at the samples of ``plan``."""
-        return self._traces(self.distances(plan.q))
+        return self._traces(self.distances(plan))
 
     def _traces(self, distances: np.ndarray) -> Traces:
         pairs = [" and ".join(pair) for scene in self.scenes for pair in scene.pairs]
 
         def of(values: np.ndarray, columns: np.ndarray, margin: bool = True) -> Trace:
-            return Trace.of(
-                values[:, columns], True, [pairs[i] for i in np.flatnonzero(columns)], margin=margin
-            )
+            asked, names = values[:, columns], [pairs[i] for i in np.flatnonzero(columns)]
+            return Trace.of(asked, np.isfinite(asked), names, margin=margin)
 
         return {
             "link_depth": of(-distances, self.kinds == "ground", margin=False),

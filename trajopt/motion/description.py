@@ -254,4 +254,6 @@ class PlanDescription:
         if self.margins is not None:
             margins[scene.n_ground : scene.n_outer] = self.margins.obstacles
             margins[scene.n_outer :] = self.margins.pairs
+        if self.bodies is not None:
+            margins[self.bodies.resting(scene.pairs)] = 0.0
         return margins

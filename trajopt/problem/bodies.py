@@ -1,14 +1,14 @@
 """The bodies of a problem that must stay apart: its robot's links, obstacles and the ground."""
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
 
-from trajopt.collision.description import RobotShapes, above_ground, robot_shapes
+from trajopt.collision.description import Carried, RobotShapes, above_ground, box_of_inertia, robot_shapes
 from trajopt.collision.near import CollisionScene, ShapePair, separable_pairs
 from trajopt.collision.planes import PlacedBody, SeparatingPlane, beyond_foot, separating_plane
 from trajopt.collision.shapes import LinkShape
@@ -16,8 +16,9 @@ from trajopt.errors import InputError
 from trajopt.problem.places import CONTACT_GAP, PLACE_SLACK
 from trajopt.problem.problem import Problem
 from trajopt.robot.contact import Contact
+from trajopt.robot.payload import Payload
 from trajopt.robot.robot import Robot
-from trajopt.schedule.moment import Target
+from trajopt.schedule.moment import END, Moment, Target, start_of
 from trajopt.terms.clearance import Clearance
 from trajopt.terms.terminal import TerminalPosture
 from trajopt.terrain.flat import FlatGround
@@ -37,10 +38,14 @@ POINT_NAME = "origin of the frame"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ProblemBodies:
-    """The scene of a problem, and the least distance (n_pairs,) m that each of its pairs must keep."""
+    """The scene of a problem, and the least distance (n_pairs,) m that each of its pairs must keep.
+
+    ``present`` (n_phases, n_pairs) marks the phases in which both bodies of a pair are there.
+    """
 
     scene: CollisionScene
     margins: np.ndarray
+    present: np.ndarray
 
     @property
     def pairs(self) -> tuple[ShapePair, ...]:
@@ -119,19 +124,59 @@ def shapes_of(problem: Problem) -> RobotShapes:
         pairs = separable_pairs(robot.model, clearance.shapes, robot.reference, clearance.margin)
         solid = above_ground(robot, clearance.shapes)
         known = RobotShapes(shapes=clearance.shapes, pairs=pairs, above_ground=solid)
+    if problem.payloads:
+        known = _with_payloads(problem, known, clearance)
     return known if clearance.self_collision else replace(known, pairs=())
+
+
+def _with_payloads(problem: Problem, known: RobotShapes, clearance: Clearance) -> RobotShapes:
+    """The shapes with those of carried bodies; a body in several phases is one.
+
+    A body rests on an obstacle if it is nearer than the margin at a goal, or at the start.
+    """
+    carried: dict[str, Carried] = {}
+    shapes: dict[tuple[object, ...], LinkShape] = {}
+    for number, phase in enumerate(problem.schedule.names):
+        if phase in problem.payloads:
+            made = payload_shape(problem.robot, problem.payloads[phase], f"payload {len(shapes) + 1}")
+            name = shapes.setdefault((made.frame, made.points.tobytes(), made.radius), made).name
+            before = carried[name].phases if name in carried else ()
+            carried[name] = Carried(phases=(*before, number))
+    every = known.with_carried(problem.robot, carried, tuple(shapes.values()))
+    if not (clearance.margin > 0 and clearance.obstacles):
+        return every
+    scene = every.scene(problem.robot.model, problem.terrain, clearance.obstacles)
+    under: dict[str, set[str]] = {name: set() for name in carried}
+    for placed in _placed(problem, every, scene):
+        for one, other in scene.pairs[scene.n_ground : scene.n_outer]:
+            if one in under and placed.distances.get((one, other), np.inf) < clearance.margin:
+                under[one].add(other)
+    resting = {name: replace(body, rests_on=tuple(sorted(under[name]))) for name, body in carried.items()}
+    return replace(every, carried=resting)
+
+
+def payload_shape(robot: Robot, payload: Payload, name: str) -> LinkShape:
+    """The shape of a carried body on the frame of its contact: its own, that of its inertia, or a point."""
+    frame = robot.contact(payload.contact).frame
+    if payload.points is not None:
+        return LinkShape(name=name, frame=frame, points=payload.points, radius=payload.radius)
+    if box := box_of_inertia(payload.spatial):
+        return LinkShape.box(name, frame, box[0], box[1].translation, box[1].rotation)
+    return LinkShape.sphere(name, frame, payload.centre, POINT)
 
 
 def bodies_of(problem: Problem) -> ProblemBodies:
     """The bodies of a problem. Raises InputError where two overlap at its start or at a goal."""
-    clearance = clearance_of(problem)
-    scene = shapes_of(problem).scene(problem.robot.model, problem.terrain, clearance.obstacles)
+    clearance, shapes = clearance_of(problem), shapes_of(problem)
+    scene = shapes.scene(problem.robot.model, problem.terrain, clearance.obstacles)
     # A periodic motion's start is free.
     start = scene.distances_at(problem.initial_q) if problem.periodicity is None else None
-    bodies = ProblemBodies(scene=scene, margins=_margins(problem.robot, scene, clearance.margin, start))
-    if start is not None:
-        _require_clear(bodies, "starts", bodies.pairs, start)
-    _require_clear_goals(problem, bodies)
+    margins = _margins(problem.robot, scene, clearance.margin, start)
+    margins[shapes.resting(scene.pairs)] = 0.0
+    present = shapes.present(scene.pairs, range(len(problem.schedule.phases)))
+    bodies = ProblemBodies(scene=scene, margins=margins, present=present)
+    for placed in _placed(problem, shapes, scene):
+        _require_clear(bodies, placed)
     return bodies
 
 
@@ -190,47 +235,64 @@ def _touching(robot: Robot, shapes: Sequence[LinkShape]) -> np.ndarray:
     return np.array([shape.name in near for shape in shapes], dtype=bool)
 
 
-def _require_clear(
-    bodies: ProblemBodies, what: str, pairs: Sequence[ShapePair], distances: np.ndarray, slack: float = 0.0
-) -> None:
-    """Raise `InputError` if bodies are nearer to each other than allowed, by more than ``slack`` in m.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Placed:
+    """Signed distances in m of pairs that are known before solving, and by how much they may be off.
 
-    ``what`` is the part of the message that says where; ``pairs`` have the ``distances`` (n,) in m.
+    ``where`` is the part of a message that says where the bodies are.
     """
-    margins = bodies.margin_of
-    short = [float(distance) - margins[pair] for pair, distance in zip(pairs, distances, strict=True)]
-    worst = min(range(len(short)), key=short.__getitem__, default=None)
-    if worst is not None and short[worst] < -GAP_SLACK - slack:
-        (first, second), margin = pairs[worst], margins[pairs[worst]]
+
+    where: str
+    distances: Mapping[ShapePair, float]
+    slack: float = 0.0
+
+
+def _require_clear(bodies: ProblemBodies, placed: _Placed) -> None:
+    """Raise `InputError` if placed bodies are nearer to each other than allowed."""
+    margins, distances = bodies.margin_of, placed.distances
+    worst = min(distances, key=lambda pair: distances[pair] - margins[pair], default=None)
+    if worst is not None and distances[worst] - margins[worst] < -GAP_SLACK - placed.slack:
         raise InputError(
-            f"'{first}' {what} {distances[worst]:.4f} m from '{second}' (negative: inside it)",
-            f"allowed: at least {margin:g} m",
+            f"'{worst[0]}' {placed.where} {distances[worst]:.4f} m from '{worst[1]}' (negative: inside it)",
+            f"allowed: at least {margins[worst]:g} m",
         )
 
 
-def _require_clear_goals(problem: Problem, bodies: ProblemBodies) -> None:
-    """Raise `InputError` if bodies overlap at a goal, as far as this is known before solving.
+def _placed(problem: Problem, shapes: RobotShapes, scene: CollisionScene) -> Iterator[_Placed]:
+    """Yield the distances at a fixed start and at the goals, as far as they are known before solving.
 
     For a configuration all pairs are known. For a posture placed where a contact lands, pairs of links are;
-    for a frame's pose, its link with ground and obstacles. About a mere position the link may turn.
+    for a frame's pose, its link with ground and obstacles. About a mere position the link may turn. Pairs of
+    bodies that are not carried at that moment are left out.
     """
+    schedule = problem.schedule
+
+    def there(distances: Mapping[ShapePair, float], moment: Moment) -> dict[ShapePair, float]:
+        both = np.atleast_1d(shapes.present(tuple(distances), schedule.phases_at(moment)).any(axis=0))
+        return {pair: distances[pair] for pair, known in zip(distances, both, strict=True) if known}
+
+    def at(q: np.ndarray, moment: Moment, first: int = 0) -> dict[ShapePair, float]:
+        every = zip(scene.pairs[first:], scene.distances_at(q)[first:].tolist(), strict=True)
+        return there(dict(every), moment)
+
+    # A periodic motion's start is free.
+    if problem.periodicity is None:
+        yield _Placed(where="starts", distances=at(problem.initial_q, start_of(schedule.names[0])))
     # Contacts, and other links with them, may be this far from where the goal has them.
-    stands = any(phase.contacts for phase in problem.schedule.phases)
+    stands = any(phase.contacts for phase in schedule.phases)
     slack = max(CONTACT_GAP, PLACE_SLACK * problem.robot.length) if stands else 0.0
-    scene = bodies.scene
-    for term in problem.terms if bodies.pairs else ():
+    for term in problem.terms if scene.pairs else ():
+        where = f"in q of {term.name} is"
         if isinstance(term, TerminalPosture):
-            distances = scene.distances_at(term.q)[scene.n_outer :]
-            _require_clear(bodies, f"in q of {term.name} is", scene.self_pairs, distances, slack)
+            yield _Placed(where=where, distances=at(term.q, END, scene.n_outer), slack=slack)
         for target in term.targets():
             if target.q is not None:
-                what = f"in q of {term.name} is"
-                _require_clear(bodies, what, bodies.pairs, scene.distances_at(target.q), slack)
+                yield _Placed(where=where, distances=at(target.q, target.at), slack=slack)
             else:
                 known = "is" if target.rotation is not None else "is at most"
-                what = f"at the goal of {term.name} of '{target.frame}' {known}"
-                placed = placed_link(scene, target)
-                _require_clear(bodies, what, list(placed), np.array(list(placed.values())), slack)
+                goal = f"at the goal of {term.name} of '{target.frame}' {known}"
+                link = there(placed_link(scene, target), target.at)
+                yield _Placed(where=goal, distances=link, slack=slack)
 
 
 def placed_link(scene: CollisionScene, target: Target) -> dict[ShapePair, float]:

@@ -107,10 +107,8 @@ class Stances:
 
     def at(self, moment: Moment) -> _Places:
         """Positions of the contacts that stand at a moment; between two phases, those of both."""
-        index, fraction = self.index(moment.phase), moment.fraction
-        other = index - 1 if fraction == 0 else index + 1 if fraction == 1 else index
-        near = self.held(other) if 0 <= other < len(self.places) else {}
-        return {**near, **self.held(index)}
+        held = [self.held(index) for index in self.schedule.phases_at(moment)]
+        return {name: place for places in held for name, place in places.items()}
 
     def held(self, index: int) -> _Places:
         """Known positions of a phase's contacts without those that roll away from where they began."""

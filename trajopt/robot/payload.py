@@ -11,11 +11,12 @@ the torques of the robot with its load.
 """
 
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import numpy as np
 import pinocchio as pin
 
-from trajopt.arguments import Array3, Array33, NonNegative, checked
+from trajopt.arguments import Array3, Array33, ArrayShape, NonNegative, checked
 from trajopt.errors import InputError
 from trajopt.robot.robot import Robot
 
@@ -30,18 +31,25 @@ class Payload:
         mass: mass, kg.
         centre: centre of mass (3,), m, in the contact's frame; default its origin.
         inertia: inertia about the centre of mass (3, 3), kg m^2, in the frame's axes; default a point mass.
+        points: points (n, 3), m, in the contact's frame, whose convex hull is the body that keeps clear of
+            obstacles, ground and links; default the solid box of its mass and inertia, or the point mass.
+        radius: how far the body extends beyond that hull, m.
 
     Raises:
-        InputError: for a mass or an inertia that no rigid body has.
+        InputError: for a mass, an inertia or a shape that no rigid body has.
     """
 
     contact: str
     mass: NonNegative
     centre: Array3 = field(default_factory=lambda: np.zeros(3))
     inertia: Array33 = field(default_factory=lambda: np.zeros((3, 3)))
+    points: Annotated[np.ndarray, ArrayShape((None, 3))] | None = None
+    radius: NonNegative = 0.0
 
     def __post_init__(self) -> None:
         require_rigid(self.inertia)
+        if (self.radius and self.points is None) or (self.points is not None and not len(self.points)):
+            raise InputError("a payload has no points for its shape", "allowed: points (n, 3), n >= 1")
 
     @property
     def spatial(self) -> pin.Inertia:

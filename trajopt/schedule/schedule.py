@@ -11,6 +11,7 @@ import numpy as np
 from trajopt.arguments import Array3, Positive, checked
 from trajopt.errors import InputError
 from trajopt.robot.contact import Contact
+from trajopt.schedule.moment import Moment
 from trajopt.terrain.patch import Patch
 from trajopt.terrain.surface import SAME_PLANE, Surface
 from trajopt.terrain.terrain import Ground, Terrain
@@ -169,6 +170,12 @@ class Schedule:
         """Shortest and longest total duration in s that the phases allow."""
         bounds = [phase.duration_bounds or (phase.duration, phase.duration) for phase in self.phases]
         return sum(low for low, _ in bounds), sum(high for _, high in bounds)
+
+    def phases_at(self, moment: Moment) -> tuple[int, ...]:
+        """Indices of the phases that meet at a moment, that of the moment last."""
+        index = len(self.phases) - 1 if moment.phase is None else self.names.index(moment.phase)
+        other = index + {0.0: -1, 1.0: 1}.get(moment.fraction, 0)
+        return (other, index) if 0 <= other < len(self.phases) and other != index else (index,)
 
     @property
     def time_scales(self) -> tuple[int | None, ...]:

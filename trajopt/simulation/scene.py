@@ -230,7 +230,8 @@ def _add_links(bodies: Bodies, place: Surroundings) -> tuple[list[str], list[str
         solid = [add_shape(bodies, shape, f"shape{i}") for i, shape in enumerate(shapes)]
         return _add_balls(bodies, place), solid, list(obstacles)
     body_scene = robot.description.body_scene(robot.model)
-    moving = () if body_scene is None else body_scene.moving
+    every = () if body_scene is None else body_scene.moving
+    moving = [shape for shape in every if shape.name not in known.carried]
     names = {shape.name: add_shape(bodies, shape, f"shape{i}") for i, shape in enumerate(moving)}
     links = [name for shape, name in names.items() if known.above_ground and shape not in site.sunk]
     return links, list(names.values()), list(obstacles)

@@ -119,16 +119,23 @@ class Exchange:
         """Sample the distances of all pairs along a solution, and at ``times`` s; exact within the band.
 
         The distance of a foot from the ground that its active contact touches counts as infinite: the contact
-        holds it there, and further rows would be linearly dependent on the contact's.
+        holds it there, and further rows would be linearly dependent on the contact's. So does the distance of
+        a body in phases that do not carry it.
         """
         plan = solution.normalized()
         units = Units(self.problem.robot).position
-        numbers, fractions, regular = _moments_to_look_at(plan, units, times)
+        numbers, fractions, regular = _moments_to_look_at(plan, units, times, self._ends(plan))
         q = plan.polynomials.at(numbers, fractions).q
         distances = self.bodies.scene.distances(q, self.band + self.bodies.widest)
         moments = _in_phases(plan, numbers, fractions)
-        standing = self._standing[[phase for phase, _ in moments]]
-        return Look(distances=np.where(standing, np.inf, distances), moments=moments, regular=regular)
+        apart = self._apart[[phase for phase, _ in moments]]
+        return Look(distances=np.where(apart, np.inf, distances), moments=moments, regular=regular)
+
+    def _ends(self, plan: Solution) -> np.ndarray:
+        """Return a mask of the intervals at whose end a carried body is put down, or the motion ends."""
+        phases = plan.phase[[rows.start for rows in plan.intervals]]
+        gone = (self.bodies.present[phases[:-1]] & ~self.bodies.present[phases[1:]]).any(axis=1)
+        return np.append(gone, True)
 
     def missing(self, look: Look) -> tuple[ShapePair, ...]:
         """Return the pairs that are too near somewhere."""
@@ -262,8 +269,9 @@ class Exchange:
         every = sorted({moment for moments in self.moments.values() for moment in moments})
         if not every:
             return True
-        q = self.guess(*_as_arrays(every))
-        short = self.bodies.scene.distances(q, self.band + self.bodies.widest) - self._least
+        phases, fractions = _as_arrays(every)
+        distances = self.bodies.scene.distances(self.guess(phases, fractions), self.band + self.bodies.widest)
+        short = np.where(self.bodies.present[phases], distances - self._least, np.inf)
         columns = [column for column, pair in enumerate(self.bodies.pairs) if pair in self.moments]
         return bool((short[:, columns] >= 0).all())
 
@@ -293,15 +301,18 @@ class Exchange:
         return contacts_by_shape(self.problem.robot, self.bodies.scene.shapes)
 
     @cached_property
-    def _standing(self) -> np.ndarray:
-        """Mask (n_phases, n_pairs) of feet and the ground on which their active contacts hold them."""
+    def _apart(self) -> np.ndarray:
+        """Mask (n_phases, n_pairs) of feet and the ground on which their active contacts hold them.
+
+        Pairs with a body that is not carried in the phase are marked as well.
+        """
         bodies, phases = self.bodies, self.problem.schedule.phases
-        standing = np.zeros((len(phases), len(bodies.pairs)), dtype=bool)
+        apart = ~bodies.present
         shapes = {shape.name: shape for shape in bodies.scene.shapes}
         for column, (first, _) in enumerate(bodies.pairs[: bodies.scene.n_ground]):
             names = {c.name for c in self._contacts[first] if bodies.is_foot(shapes[first], c)}
-            standing[:, column] = [not names.isdisjoint(phase.contacts) for phase in phases]
-        return standing
+            apart[:, column] |= [not names.isdisjoint(phase.contacts) for phase in phases]
+        return apart
 
     def _feet(self, pair: ShapePair, poses: Mapping[str, pin.SE3]) -> PlacedBody | None:
         """Return the contacts of the first link of a pair as points in the world."""
@@ -325,11 +336,11 @@ def along(solution: Solution) -> PhaseMotion:
 
 
 def _moments_to_look_at(
-    plan: Solution, units: np.ndarray, times: Sequence[float]
+    plan: Solution, units: np.ndarray, times: Sequence[float], ends: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return interval numbers and fractions (K,) to sample, and a mask of nodes and collocation points.
 
-    The end of an interval is sampled as the start of the next one.
+    The end of an interval is sampled where ``ends`` is true; elsewhere as the start of the next one.
     """
     numbers, fractions, regular = [], [], []
     for number in range(plan.n_intervals):
@@ -340,7 +351,7 @@ def _moments_to_look_at(
         further = [(time - start) / (end - start) for time in times if start < time < end]
         evenly = np.linspace(0.0, 1.0, looks + 2)
         every = np.unique(np.round(np.concatenate([looked_at, evenly, further]), DIGITS))
-        if number < plan.n_intervals - 1:
+        if not ends[number]:
             every = every[every < 1.0]
         numbers.append(np.full(len(every), number))
         fractions.append(every)

@@ -176,6 +176,8 @@ class PlottedMotion(MotionQuantities):
             return {}
         distances = np.full((len(self.t), len(scene.pairs)), np.nan)
         distances[self.finite] = scene.distances(self.solution.q[self.finite])
+        if plan.bodies is not None:
+            distances[~plan.bodies.present(scene.pairs, self.solution.phase)] = np.inf
         names = (GROUND, *(obstacle.name for obstacle in scene.obstacles), "itself")
         columns: dict[str, list[int]] = {name: [] for name in names}
         for i, pair in enumerate(scene.pairs):

@@ -9,12 +9,12 @@ import pinocchio as pin
 
 from trajopt.collision.coal_shapes import thicken
 from trajopt.collision.description import box_of_inertia
-from trajopt.collision.shapes import BoxObstacle, Obstacle, box_corners
+from trajopt.collision.shapes import BoxObstacle, LinkShape, Obstacle, box_corners
 from trajopt.motion.description import CarriedBody
 from trajopt.motion.solution import Solution
 from trajopt.terrain.bodies import convex_hull
 from trajopt.view.replay.commands import Animation, hold_while_hidden, without_shadow
-from trajopt.view.replay.parts import ColouredMeshGeometry, colour_array, draw_capsule
+from trajopt.view.replay.parts import ColouredMeshGeometry, Solid, colour_array, draw_capsule
 from trajopt.view.replay.runs import DrawnSolution
 
 OBSTACLE_COLOUR, OBSTACLE_OPACITY = 0xC1553B, 0.75
@@ -22,6 +22,8 @@ _CORNERS = box_corners(-np.ones(3), np.ones(3))
 PAYLOAD_COLOUR = 0xC98A2B
 # A point mass is drawn as a ball of this density, kg/m^3: between wood and water.
 DENSITY = 800.0
+# A shape smaller than this, m, is a point mass.
+LEAST_EXTENT = 1e-3
 SHAPE_COLOUR, SHAPE_OPACITY = 0x8E44AD, 0.45
 
 
@@ -51,7 +53,8 @@ def draw_shapes(run: DrawnSolution, tracks: Animation) -> None:
     """Draw the links' collision shapes of the file, and move them with their joints."""
     bodies, model = run.solution.description.bodies, run.solution.model
     drawn = set()
-    for shape in bodies.shapes if bodies is not None else ():
+    links = () if bodies is None else [s for s in bodies.shapes if s.name not in bodies.carried]
+    for shape in links:
         frame = model.frames[model.getFrameId(shape.frame)]
         joint = int(frame.parentJoint)
         node = run.node["shapes"][f"joint{joint}"]
@@ -60,13 +63,17 @@ def draw_shapes(run: DrawnSolution, tracks: Animation) -> None:
         drawn.add(joint)
         part = node[shape.name.replace("/", "_")]
         part.set_transform(frame.placement.homogeneous)
-        if len(shape.points) > 2:
-            # A hull's radius is a fraction of a millimetre: moving its corners outwards shows it well enough.
-            away = shape.points - shape.points.mean(axis=0)
-            away /= np.linalg.norm(away, axis=1)[:, None]
-            _unshadowed(part["solid"], _faces(shape.points + shape.radius * away), pin.SE3.Identity())
-        else:
-            draw_capsule(part, shape.axis, shape.radius, _unshadowed)
+        _draw_shape(part, shape, SHAPE_COLOUR, _unshadowed)
+
+
+def _draw_shape(node: Any, shape: LinkShape, colour: int, solid: Solid) -> None:
+    if len(shape.points) > 2:
+        # A hull's radius is a fraction of a millimetre: moving its corners outwards shows it well enough.
+        away = shape.points - shape.points.mean(axis=0)
+        away /= np.linalg.norm(away, axis=1)[:, None]
+        solid(node["solid"], _faces(shape.points + shape.radius * away, colour), pin.SE3.Identity())
+    else:
+        draw_capsule(node, shape.axis, shape.radius, solid)
 
 
 def _unshadowed(node: Any, shape: Any, placement: pin.SE3) -> None:
@@ -74,7 +81,7 @@ def _unshadowed(node: Any, shape: Any, placement: pin.SE3) -> None:
     without_shadow(node)
 
 
-def _faces(points: np.ndarray) -> ColouredMeshGeometry:
+def _faces(points: np.ndarray, colour: int) -> ColouredMeshGeometry:
     """Faces of the hull of points (n, 3) m, each with its own normal."""
     hull = convex_hull(thicken(points))
     corners, outward = hull.corners[hull.triangles], hull.normals
@@ -83,7 +90,7 @@ def _faces(points: np.ndarray) -> ColouredMeshGeometry:
     corners[inside_out] = corners[inside_out][:, ::-1]
     flat = corners.reshape(-1, 3)
     normals, triangles = np.repeat(outward, 3, axis=0), np.arange(len(flat)).reshape(-1, 3)
-    return ColouredMeshGeometry.joined([(flat, normals, colour_array(SHAPE_COLOUR), triangles)])
+    return ColouredMeshGeometry.joined([(flat, normals, colour_array(colour), triangles)])
 
 
 def draw_payloads(run: DrawnSolution, tracks: Animation) -> np.ndarray:
@@ -94,7 +101,7 @@ def draw_payloads(run: DrawnSolution, tracks: Animation) -> np.ndarray:
         if not carried.any():
             continue
         body, part = payload.spatial, run.node["payloads"][f"body{number}"]
-        extent = _draw_payload(part["shape"], body)
+        extent = _draw_payload(part["shape"], body, _shape_of(run.solution, payload))
         # It stays in place before it is picked up and after it is put down.
         contact = run.solution.contact_frames.index(payload.frame)
         hand = hold_while_hidden(motion.contacts[:, contact], carried)
@@ -117,8 +124,21 @@ def _payloads(solution: Solution) -> list[tuple[CarriedBody, list[int]]]:
     return payloads
 
 
-def _draw_payload(node: Any, body: pin.Inertia) -> float:
-    """Draw a box of the body's mass and inertia, or a ball for a point mass; returns half its extent, m."""
+def _shape_of(solution: Solution, payload: CarriedBody) -> LinkShape | None:
+    """The shape of a payload in the file; None for a point mass and in older files."""
+    bodies = solution.description.bodies
+    for shape in () if bodies is None else bodies.shapes:
+        carried = bodies.carried.get(shape.name) if bodies is not None else None
+        if carried and shape.frame == payload.frame and set(payload.phases) <= set(carried.phases):
+            return shape if shape.extent > LEAST_EXTENT else None
+    return None
+
+
+def _draw_payload(node: Any, body: pin.Inertia, shape: LinkShape | None) -> float:
+    """Draw a shape, the box of the body's inertia, or a ball for a point mass; returns its reach in m."""
+    if shape is not None:
+        _draw_shape(node, shape, PAYLOAD_COLOUR, partial(_solid, color=PAYLOAD_COLOUR))
+        return float(np.linalg.norm(shape.points - body.lever, axis=1).max()) + float(shape.radius)
     box = box_of_inertia(body)
     if box is not None:
         sides, placement = box
