@@ -167,14 +167,15 @@ class Coordinates:
         acceleration = ca.mtimes(to_body, ddx[:3]) - ca.cross(omega, linear)
         return ca.vertcat(x[:3], quaternion), ca.vertcat(linear, omega), ca.vertcat(acceleration, domega)
 
-    def next_rotations(self, rotations: ca.SX, theta: ca.SX, dtheta: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Rotations (4 each) and body rates (3 each) of the next node from an interval's end."""
-        quaternions, rates = [], []
+    def next_rotations(self, rotations: ca.SX, theta: ca.SX, dtheta: ca.SX, ddtheta: ca.SX) -> list[ca.SX]:
+        """Rotations (4 each), body rates and their rates (3 each) of the next node from an interval's end."""
+        quaternions, rates, second = [], [], []
         for i in range(self.n_rotations):
             three = slice(3 * i, 3 * i + 3)
             quaternions.append(quaternion_product(rotations[4 * i : 4 * i + 4], exp_quaternion(theta[three])))
             rates.append(ca.mtimes(right_jacobian(theta[three]), dtheta[three]))
-        return ca.vertcat(*quaternions), ca.vertcat(*rates)
+            second.append(body_rates(theta[three], dtheta[three], ddtheta[three])[1])
+        return [ca.vertcat(*quaternions), ca.vertcat(*rates), ca.vertcat(*second)]
 
     @cached_property
     def _node_to_pinocchio(self) -> ca.Function:

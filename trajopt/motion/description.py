@@ -134,7 +134,7 @@ class PlanDescription:
         problem, robot: Names.
         parameters: Parameters of the problem's family, JSON-able.
         contacts: (nc,) in the order of the forces.
-        actuation: Control input, "torque", "acceleration" or "velocity".
+        actuation: Control input, "torque", "acceleration", "velocity" or "jerk".
         dynamics: "held" if contacts stay in place; "forced" if rows of the problem's own move them and the
             planned forces act; "own" for dynamics of which the check knows nothing.
         gravity: (3,) m/s^2.

@@ -42,8 +42,9 @@ class MotionPolynomials:
     """Polynomials of n intervals with s points each over the interval's fraction, lowest power first.
 
     numbers: (n,) of the intervals. start: (n, nq) initial configurations. rate: (n, nv) initial local rates.
-    step: (n,) s. order: derivative that is highest: 2, or 1 for velocity input. highest: (n, s, nv),
-    tau: (n, s, nu), f: (n, s, 6 nc) coefficients. gap: (n, 2, nv) gaps of positions and rates at the ends.
+    step: (n,) s. order: 2, or 1 for velocity input, or 3 for jerks. highest: (n, s, nv), of the first or second
+    derivative, tau: (n, s, nu), f: (n, s, 6 nc) coefficients; with jerks there is one more of accelerations,
+    which are continuous, and two more of torques. gap: (n, 2, nv) gaps of positions and rates at the ends.
     """
 
     model: pin.Model
@@ -71,6 +72,14 @@ class MotionPolynomials:
         last = np.array([intervals[number].stop - 1 for number in numbers])
         q, v, a = (arrays[name] for name in ("q", "v", "a"))
         start = q[first]
+        # Accelerations of jerks are known at nodes, too, and so are torques.
+        moved, moved_at = (
+            (np.c_[first, points], _with_start(fractions)) if order == 3 else (points, fractions)
+        )
+        driven, driven_at = (
+            np.array(part)
+            for part in zip(*(input_samples(arrays, int(number), order) for number in numbers), strict=True)
+        )
 
         def local(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             origin = start if rows.ndim == 1 else start[:, None]
@@ -83,14 +92,14 @@ class MotionPolynomials:
             rate=local(first)[1],
             step=np.diff(arrays["interval_t"][numbers], axis=1)[:, 0],
             order=order,
-            highest=lagrange_coefficients(fractions, local(points)[order]),
-            tau=lagrange_coefficients(fractions, arrays["tau"][points]),
+            highest=lagrange_coefficients(moved_at, local(moved)[min(order, 2)]),
+            tau=lagrange_coefficients(driven_at, arrays["tau"][driven]),
             f=lagrange_coefficients(fractions, arrays["f"][points].reshape(*points.shape, -1)),
             gap=np.zeros((len(numbers), 2, model.nv)),
         )
         reached, planned = open_ends.local(np.arange(len(numbers)), np.ones(len(numbers))), local(last)
         position = _without_turns(model, planned[0] - reached[0])
-        gap = np.stack([position, (order == 2) * (planned[1] - reached[1])], axis=1)
+        gap = np.stack([position, (order >= 2) * (planned[1] - reached[1])], axis=1)
         return replace(open_ends, gap=gap)
 
     def local(self, rows: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -109,8 +118,24 @@ class MotionPolynomials:
         """Return the motion at ``fractions`` (k,) of intervals; ``rows`` (k,) index this record's arrays."""
         q, v, a = state_from_local(self.model, self.start[rows], *self.local(rows, fractions))
         powers = fractions[:, None] ** np.arange(self.tau.shape[1])
-        f = _sum(powers, self.f[rows]).reshape(len(q), -1, 6)
+        f = _sum(powers[:, : self.f.shape[1]], self.f[rows]).reshape(len(q), -1, 6)
         return MotionSample(q=q, v=v, a=a, tau=_sum(powers, self.tau[rows]), f=f)
+
+
+def _with_start(fractions: np.ndarray) -> np.ndarray:
+    """Fractions (n, s + 1) with a zero before them."""
+    return np.concatenate([np.zeros((len(fractions), 1)), fractions], axis=1)
+
+
+def input_samples(arrays: Mapping[str, np.ndarray], number: int, order: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the samples through which the torques of an interval pass, and their fractions.
+
+    They are the collocation points; with jerks the nodes as well, where torques are continuous.
+    """
+    points, fractions = collocation_fractions(arrays, number)
+    if order < 3:
+        return points, fractions
+    return np.r_[points[0] - 1, points, points[-1] + 1], np.r_[0.0, fractions, 1.0]
 
 
 def _sum(powers: np.ndarray, coefficients: np.ndarray) -> np.ndarray:

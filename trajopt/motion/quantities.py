@@ -18,6 +18,7 @@ from trajopt.motion.cycles import periodicity_error
 from trajopt.motion.interpolation import (
     InterpolatedMotion,
     collocation_fractions,
+    input_samples,
     lagrange_coefficients,
 )
 from trajopt.motion.local_states import local_state
@@ -70,11 +71,11 @@ class MotionQuantities:
     def inputs(self) -> tuple[np.ndarray, ...]:
         """Polynomials (s, nu) of the torques, or of the rates of velocity sources, for each interval.
 
-        They interpolate the collocation points over the interval's fraction; lowest power first.
+        They interpolate `input_samples` over the interval's fraction; lowest power first.
         """
         plan = self.solution
         values, arrays = plan.v if self.moved_by_rates else plan.tau, plan.arrays
-        points = (collocation_fractions(arrays, number) for number in range(plan.n_intervals))
+        points = (input_samples(arrays, number, plan.order) for number in range(plan.n_intervals))
         return tuple(lagrange_coefficients(fractions, values[rows]) for rows, fractions in points)
 
     @property

@@ -111,8 +111,8 @@ class Solution(RobotMotion):
 
     @property
     def order(self) -> int:
-        """Order of the derivative of positions that is polynomial in each interval: 2; velocity input, 1."""
-        return 1 if self.description.velocity_input else 2
+        """Highest derivative of positions among the variables: 2, 3 for jerks, or 1 for velocity input."""
+        return {"velocity": 1, "jerk": 3}.get(self.description.actuation, 2)
 
     @cached_property
     def polynomials(self) -> InterpolatedMotion:

@@ -79,9 +79,9 @@ class Problem:
         parameters: values of the family's parameters.
         default_intervals: number of intervals if the caller gives none.
         default_transcription: transcription if the caller gives none.
-        actuation: the control input: "torque"; "acceleration", where no term may depend on torques; or
-            "velocity", where configurations are the state, contacts do not slide and a free base is in static
-            balance.
+        actuation: the control input: "torque"; "jerk", where accelerations and torques are continuous and
+            start and end at rest at zero; "acceleration", where no term may depend on torques; or "velocity",
+            where configurations are the state, contacts do not slide and a free base is in static balance.
         dynamics: constraints that hold for every motion of this robot; default those of the actuation, while
             a reduced model has its own.
         modes: minimal coordinates of phases, by the phase's name.
@@ -126,7 +126,7 @@ class Problem:
         for term in self.terms:
             check_fields(term)
         require_actuation(robot, schedule, self.actuation, self.initial_v)
-        if self.actuation == "torque":
+        if self.actuation in ("torque", "jerk"):
             require_inertia(robot)
         require_phases(self.name, robot, schedule)
         if robot.mimics:

@@ -44,6 +44,7 @@ class Units:
         self.position = np.where(linear, length, 1.0)
         self.velocity = self.position / self.time
         self.acceleration = self.velocity / self.time
+        self.jerk = self.acceleration / self.time
         self.unreachable_torque = UNREACHABLE * self.torque
         self.unreachable_velocity = UNREACHABLE / self.time
 

@@ -30,6 +30,7 @@ from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.patch import Patch
 from trajopt.terrain.surface import Surface
 from trajopt.transcription.layout import Layout
+from trajopt.transcription.schemes import Scheme
 from trajopt.transcription.timeline import NodeLayout, StageKind
 from trajopt.transcription.transcription import Transcription
 from trajopt.versions import VERSIONED, installed_version
@@ -68,14 +69,10 @@ def extract(transcription: Transcription, x: np.ndarray, **statistics: Any) -> S
         phase = int(layout.phase_of[k])
         interval = _interval(problem, layout, unknowns, int(k), float(steps[k]), float(time_scales[phase]))
         scheme = layout.scheme_of(phase)
-        ends = scheme.interpolation(np.array([0.0, 1.0]))
         inner = times[k] + scheme.c * steps[k]
         columns["t"].append(np.concatenate([[times[k]], inner, [times[k + 1]]]))
-        for name in ("q", "v", "a"):
-            columns[name].append(interval[name])
-        for name in ("tau", "f"):
-            outer = np.tensordot(ends, interval[name], axes=1)
-            columns[name].append(np.concatenate([outer[:1], interval[name], outer[1:]]))
+        for name, values in interval.items():
+            columns[name].append(values)
     raw = np.concatenate(columns.pop("q"))
     q = np.array([pin.normalize(layout.robot.model, row) for row in raw])
     error = float(np.abs(q - raw).max())
@@ -147,8 +144,7 @@ def _interval(
 ) -> dict[str, np.ndarray]:
     """Return the motion of the whole robot by the collocation map, and torques by numeric Pinocchio.
 
-    ``q``, ``v``, ``a`` are at the start, the collocation points and the end; ``tau`` and ``f`` (s, nc, 6) at
-    the points. ``h`` is the step in s, ``time_scale`` the duration over the nominal duration.
+    The samples are at the start, the collocation points and the end. ``h`` is the step in s, ``time_scale`` the duration over the nominal duration.
     """
     phase, form = int(layout.phase_of[k]), layout.forms[k]
     method = layout.scheme_of(phase)
@@ -157,14 +153,14 @@ def _interval(
     nodes = [layout.forms[node].state(unknowns[layout.node(node)])[0] for node in (k, k + 1)]
     start, rates = np.zeros(nv), nodes[0][-nv:]
     start[form.coordinates.additive_index] = nodes[0][form.additive]
-    rotations = nodes[0][form.rotations]
-    if layout.order == 2:
-        highest = y / time_scale**2
-        xi = start + h * np.outer(method.c, rates) + h * h * method.A2 @ highest
-        q, v, a = _in_pinocchio(form, rotations, xi, rates + h * method.A1 @ highest, highest)
-        moved = form.coordinates.node_to_pinocchio(np.array(nodes))
-        ends = np.tensordot(method.interpolation(np.array([0.0, 1.0])), a, axes=1)
-        edge = (*moved, ends)
+    rotations, outer = nodes[0][form.rotations], method.interpolation(np.array([0.0, 1.0]))
+    if layout.order >= 2:
+        xi, dxi, ddxi = _at_points(form, method, (start, rates, window[form.accelerations]), y, h, time_scale)
+        q, v, a = _in_pinocchio(form, rotations, xi, dxi, ddxi)
+        edge = (*form.coordinates.node_to_pinocchio(np.array(nodes)), np.tensordot(outer, a, axes=1))
+        if layout.order == 3:
+            second = np.array([form.acceleration(unknowns[layout.node(node)]) for node in (k, k + 1)])
+            edge = _nodes_in_pinocchio(form, np.array(nodes), second)
     else:
         fractions = np.concatenate([[0.0], method.c, [1.0]])
         weights = np.vstack([np.zeros(method.s), method.A1, method.b1])
@@ -184,9 +180,50 @@ def _interval(
         full = mode.lifted(*full)
         names = [contact.name for contact in layout.robot.contacts]
         f[:, names.index(mode.embedded.name), :3] = reaction[1:-1] - f[:, :, :3].sum(axis=1)
-    points = [part[1:-1] for part in full]
-    tau = _torques(problem.robot_in(layout.schedule.phases[phase].name), points, f)
+    robot, f = problem.robot_in(layout.schedule.phases[phase].name), _with_ends(outer, f)
+    if layout.order == 3:
+        tau = _torques(robot, full, f)
+    else:
+        tau = _with_ends(outer, _torques(robot, [part[1:-1] for part in full], f[1:-1]))
     return {"q": full[0], "v": full[1], "a": full[2], "f": f, "tau": tau}
+
+
+def _with_ends(outer: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Values (s, ...) at the points with those of their polynomial at both ends of the interval."""
+    ends = np.tensordot(outer, values, axes=1)
+    return np.concatenate([ends[:1], values, ends[1:]])
+
+
+def _at_points(
+    form: NodeLayout,
+    method: Scheme,
+    start: tuple[np.ndarray, np.ndarray, np.ndarray],
+    y: np.ndarray,
+    h: float,
+    time_scale: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return xi, xi', xi'' (s, nv) at the points, from those at the start and the highest derivative y.
+
+    The start's xi'' and ``y`` are in nominal time, the others in true time.
+    """
+    position, rates, second = start
+    c, highest = method.c[:, None], y / time_scale**form.order
+    if form.order == 2:
+        xi = position + h * np.outer(method.c, rates) + h * h * method.A2 @ highest
+        return xi, rates + h * method.A1 @ highest, highest
+    second = second / time_scale**2
+    xi = position + h * c * rates + (h * c) ** 2 / 2 * second + h**3 * method.A3 @ highest
+    return xi, rates + h * c * second + h * h * method.A2 @ highest, second + h * method.A1 @ highest
+
+
+def _nodes_in_pinocchio(
+    form: NodeLayout, states: np.ndarray, second: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return q, v, a of nodes, from their states (n, n_node) and second derivatives (n, nv)."""
+    nv = form.coordinates.nv
+    xi = np.zeros((len(states), nv))
+    xi[:, form.coordinates.additive_index] = states[:, form.additive]
+    return form.coordinates.local_to_pinocchio(states[:, form.rotations], xi, states[:, -nv:], second)
 
 
 def _in_pinocchio(

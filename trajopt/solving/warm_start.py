@@ -55,10 +55,10 @@ class _Source(MotionSource):
     known_impulses: dict[int, np.ndarray]
 
     @override
-    def node_state(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+    def node_state(self, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         layout = self.layout
         sample = rows_of(self._samples, k)
-        return layout.in_coordinates_of(layout.forms[k], sample.q, sample.v, sample.a)[:2]
+        return layout.in_coordinates_of(layout.forms[k], sample.q, sample.v, sample.a)
 
     @override
     def at_point(self, k: int, i: int, node: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -66,10 +66,11 @@ class _Source(MotionSource):
         sample = rows_of(self._samples, self._first_points[k] + i)
         origin = form.coordinates.node_to_pinocchio(form.state(node))[0][0]
         state = layout.in_coordinates_of(form, sample.q, sample.v, sample.a)
-        highest = local_state(form.robot.model, origin, *state)[layout.order]
+        derivative = min(layout.order, 2)
+        value = local_state(form.robot.model, origin, *state)[derivative]
         wrenches = [sample.f[self.columns[c.frame], list(c.rows)] for c in layout.contacts[phase]]
-        scale = self.time_scales[phase] ** layout.order
-        return highest * scale, np.concatenate([np.zeros(0), *wrenches])
+        scale = self.time_scales[phase] ** derivative
+        return value * scale, np.concatenate([np.zeros(0), *wrenches])
 
     @override
     def impulses(self, k: int) -> np.ndarray | None:
@@ -122,7 +123,7 @@ def warm_start(transcription: Transcription, solution: Solution) -> WarmStart:
     _require_same_phases(layout, solution)
     source = _source(transcription, solution)
     scales = source.time_scales[[index is not None for index in layout.schedule.time_scales]]
-    near = layout.coordinates.node_from_pinocchio(*initial_state(transcription.problem, layout))
+    near = layout.coordinates.node_from_pinocchio(*initial_state(transcription.problem, layout)[:2])
     x = unknowns_from_motion(layout, source, scales, near) / transcription.scale
     fixed = transcription.lower_x == transcription.upper_x
     x[fixed] = transcription.lower_x[fixed]

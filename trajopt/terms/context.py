@@ -19,7 +19,7 @@ from trajopt.robot.contact import Contact
 from trajopt.robot.robot import Robot
 from trajopt.robot.stance.minimal_coordinates import StanceMode
 from trajopt.robot.validation import require_configuration
-from trajopt.terms.context_symbols import Actuation, FrameSymbols, Parameters, Place, without_rolling
+from trajopt.terms.context_symbols import ORDERS, Actuation, FrameSymbols, Parameters, Place, without_rolling
 from trajopt.terrain.surface import Surface
 from trajopt.terrain.terrain import Ground
 
@@ -27,9 +27,10 @@ from trajopt.terrain.terrain import Ground
 class Context(Parameters):
     """Symbols of one collocation point, node or impact.
 
-    At a collocation point the inputs ``z`` are (rotations, xi, xi', xi'', wrenches, time scale); at a node
-    they are its variables; at an impact (rotations, xi, rates before, jump of the rates, impulses,
-    time scale). Entries that a problem lacks (the time scale of a fixed duration, xi'' of a velocity source)
+    At a collocation point the inputs ``z`` are (rotations, xi and its derivatives, wrenches, time scale); at
+    a node they are its variables; at an impact (rotations, xi, rates before, jump of the rates, impulses,
+    time scale). Entries that a problem lacks (the time scale of a fixed duration, xi'' of a velocity source, the
+    third one unless jerks are the input)
     are left out. ``xi`` (nv) are local coordinates (see `trajopt.dynamics.manifold`), ``dxi``, ``ddxi`` their
     derivatives in true time; ``q``, ``v``, ``a`` are Pinocchio's. Wrenches act on the robot, in world axes at
     the contact frame's origin, N and N m (impulses N s and N m s).
@@ -72,29 +73,31 @@ class Context(Parameters):
         self.actuation, self._surfaces, self._kept_rows = actuation, surfaces, kept_rows
         scale = ca.SX.sym("time_scale", 0 if time_scales[1] is None else 1)
         self.time_scale = scale if scale.numel() else ca.SX(1)
-        nv, order = coordinates.nv, 1 if actuation == "velocity" else 2
+        nv, order = coordinates.nv, ORDERS[actuation]
         names = () if self.place is Place.NODE else tuple((c.name, c.dimension) for c in contacts)
         # Symbols are named by their number, so that layers of other contacts are the same function.
         self.unknown_wrenches = {name: ca.SX.sym(f"w{i}", n) for i, (name, n) in enumerate(names)}
         self._mode = mode if mode is not None and mode.robot is robot else None
         if self.place is Place.NODE:
-            state = ca.SX.sym("x", coordinates.n_node if order == 2 else coordinates.n_node - nv)
+            state = ca.SX.sym("x", coordinates.n_node + (order - 2) * nv)
             every = ca.SX.sym("time_scales", time_scales[0])
             self.time_scale = self.time_scale if time_scales[1] is None else every[time_scales[1]]
             self.z = ca.vertcat(state, every)
-            full = state if order == 2 else ca.vertcat(state, ca.SX.zeros(nv))
-            self.rotations, self.xi, rates = coordinates.split_node(full)
-            highest = ca.SX.zeros(nv)
+            full = ca.vertcat(state, ca.SX.zeros((3 - order) * nv))
+            self.rotations, self.xi, rates = coordinates.split_node(full[: coordinates.n_node])
+            highest, third = full[coordinates.n_node :], ca.SX.zeros(nv)
         else:
             self.rotations = ca.SX.sym("r", 4 * coordinates.n_rotations)
             self.xi, rates = ca.SX.sym("xi", nv), ca.SX.sym("dxi", nv)
-            highest = ca.SX.sym("ddxi", nv if order == 2 else 0)
+            highest = ca.SX.sym("ddxi", nv if order >= 2 else 0)
+            third = ca.SX.sym("dddxi", nv if order == 3 and self.place is Place.POINT else 0)
             self.z = ca.vertcat(
-                self.rotations, self.xi, rates, highest, *self.unknown_wrenches.values(), scale
+                self.rotations, self.xi, rates, highest, third, *self.unknown_wrenches.values(), scale
             )
         self._rates = rates / self.time_scale
         power = 1 if self.place is Place.IMPACT else 2
         self._highest = highest / self.time_scale**power if highest.numel() else ca.SX.zeros(nv)
+        self._third = third / self.time_scale**3
         self._generalized_forces: ca.SX | None = None
         self._accelerations: dict[Contact, ca.SX] = {}
         self._frames: dict[str, FrameSymbols] = {}
@@ -116,14 +119,29 @@ class Context(Parameters):
         return self._rates
 
     @property
+    def second(self) -> ca.SX:
+        """Second derivatives (nv,) for a change of coordinates; zero if a node has none."""
+        return self._highest
+
+    @property
     def ddxi(self) -> ca.SX:
-        """Second derivatives of the local coordinates (nv,); zero at a node."""
+        """Second derivatives of the local coordinates (nv,); zero at a node, unless jerks are the input."""
         if self.actuation == "velocity":
             raise InputError(
                 "a term asks for accelerations, which a source of velocity does not have",
                 "allowed: terms about configurations and rates, or another actuation",
             )
         return self._highest
+
+    @property
+    def dddxi(self) -> ca.SX:
+        """Third derivatives of the local coordinates (nv,), at collocation points where jerks are the input."""
+        if self.actuation != "jerk" or self.place is not Place.POINT:
+            raise InputError(
+                f"a term asks for jerks at a {self.place.value} with actuation '{self.actuation}'",
+                "allowed: collocation points of actuation 'jerk'",
+            )
+        return self._third
 
     @property
     def jump(self) -> ca.SX:
@@ -265,10 +283,10 @@ class Context(Parameters):
     @property
     def torque(self) -> ca.SX:
         """Torque (nu,) that the drives deliver, N m, joint side: the actuated rows plus joint friction."""
-        if self.actuation != "torque":
+        if self.actuation not in ("torque", "jerk"):
             raise InputError(
                 f"a term asks for torques, which a source of {self.actuation} does not have",
-                "allowed: actuation 'torque', or terms about motion and contact forces",
+                "allowed: actuation 'torque' or 'jerk', or terms about motion and contact forces",
             )
         actuation, forces = self.robot.actuation, self._made_by_inputs
         if actuation.is_selection:

@@ -29,7 +29,9 @@ def without_rolling(motion: ca.SX, lever: ca.SX | ca.DM) -> ca.SX:
     return ca.vertcat(motion[:3] - ca.cross(motion[3:], lever), motion[3:])
 
 
-Actuation = Literal["torque", "acceleration", "velocity"]
+Actuation = Literal["torque", "acceleration", "velocity", "jerk"]
+# Highest derivative of the configuration among the variables.
+ORDERS: dict[Actuation, int] = {"torque": 2, "acceleration": 2, "velocity": 1, "jerk": 3}
 ACTUATIONS: tuple[Actuation, ...] = get_args(Actuation)
 
 

@@ -1,5 +1,7 @@
 """The linear part of the transcription: variable scales, gather matrices, and linear defect terms."""
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -31,8 +33,10 @@ class Collocation:
         """Natural unit of each entry of a node (size,)."""
         units = self.units_of(form)
         additive = units.position[form.coordinates.additive_index]
-        rates = units.velocity[: len(form.rates)]
-        return np.concatenate([np.ones(len(form.rotations)), additive, rates, np.ones(form.n_time_scales)])
+        rates, second = units.velocity[: len(form.rates)], units.acceleration[: len(form.accelerations)]
+        return np.concatenate(
+            [np.ones(len(form.rotations)), additive, rates, second, np.ones(form.n_time_scales)]
+        )
 
     def window_scale(self, k: int) -> np.ndarray:
         """Natural unit of each variable in stage k's window; the contacts share the robot's weight."""
@@ -46,7 +50,7 @@ class Collocation:
         wrench = np.concatenate([np.zeros(0), *[share[list(contact.rows)] for contact in contacts]])
         if impact:
             return np.concatenate([node, units.velocity, wrench * units.time])
-        derivative = units.acceleration if layout.order == 2 else units.velocity
+        derivative = (units.velocity, units.acceleration, units.jerk)[layout.order - 1]
         return np.concatenate(
             [node, *[np.concatenate([derivative, wrench])] * layout.scheme_of(stage.phase).s]
         )
@@ -58,10 +62,11 @@ class Collocation:
         return np.concatenate([*windows, self.node_scale(self.layout.forms[-1])])
 
     def point_gather(self, stage: int, i: int) -> SparseMatrix:
-        """Return the matrix to z at point i: rotations, xi, xi', xi'', wrenches, the phase's time scale."""
+        """Return the matrix to z at point i: rotations, xi and its derivatives, wrenches, the time scale."""
         layout, phase = self.layout, int(self.layout.phase_of[stage])
         scheme, form = layout.scheme_of(phase), layout.form_of(phase)
-        lower = self._lower_derivatives(stage, scheme.c[i], scheme.A1[i], scheme.A2[i])
+        weights = [matrix[i] for matrix in scheme.points_of(layout.order)]
+        lower = self._lower_derivatives(stage, scheme.c[i], weights)
         eye = np.eye(layout.window_size(stage))
         highest = eye[layout.local_derivative(phase, i)]
         rows = [eye[form.rotations], *lower, highest, eye[layout.local_wrench(phase, i)]]
@@ -83,7 +88,7 @@ class Collocation:
     def _moment_gather(self, stage: int, fraction: float, loads: tuple[str, ...]) -> SparseMatrix:
         layout, phase = self.layout, int(self.layout.phase_of[stage])
         scheme, form = layout.scheme_of(phase), layout.form_of(phase)
-        lower = self._lower_derivatives(stage, fraction, *scheme.lower_at(fraction))
+        lower = self._lower_derivatives(stage, fraction, scheme.lower_at(fraction)[: layout.order])
         eye = np.eye(layout.window_size(stage))
         contacts = layout.contacts[phase]
         loaded = np.repeat([c.name in loads for c in contacts], [c.dimension for c in contacts]).astype(bool)
@@ -155,29 +160,33 @@ class Collocation:
             block[form.rates] += eye[layout.local_jump(k)]
             return block
         additive = form.coordinates.additive_index
-        position, *rate = self._end_derivatives(k)
+        position, *further = self._end_derivatives(k)
         block[form.additive] = position[additive]
-        if rate:
-            block[form.rates[additive]] = rate[0][additive]
+        for entries, matrix in zip((form.rates, form.accelerations), further, strict=False):
+            block[entries[additive]] = matrix[additive]
         return block
 
     def _end_derivatives(self, k: int) -> list[np.ndarray]:
         scheme = self.layout.scheme_of(int(self.layout.phase_of[k]))
-        return self._lower_derivatives(k, 1.0, scheme.b1, scheme.b2)
+        return self._lower_derivatives(k, 1.0, scheme.ends_of(self.layout.order))
 
-    def _lower_derivatives(self, k: int, c: float, a1: np.ndarray, a2: np.ndarray) -> list[np.ndarray]:
-        """Matrices (nv, window) to xi, and to xi' unless it is a variable, at fraction c of interval k."""
+    def _lower_derivatives(self, k: int, c: float, weights: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """Matrices (nv, window) to xi, xi', ... below the highest derivative, at fraction c of interval k.
+
+        ``weights`` are those (s,) of the first, second, ... integral of the highest derivative.
+        """
         layout, form = self.layout, self.layout.forms[k]
         phase, h = layout.stages[k].phase, layout.steps[k]
         eye = np.eye(layout.window_size(k))
-        position = self._positions(eye, form)
-        unknown = [eye[layout.local_derivative(phase, j)] for j in range(layout.scheme_of(phase).s)]
-        if layout.order == 1:
-            return [position + h * sum(a * y for a, y in zip(a1, unknown, strict=True))]
-        start = eye[form.rates]
-        rate = start + h * sum(a * y for a, y in zip(a1, unknown, strict=True))
-        position = position + h * c * start + h * h * sum(a * y for a, y in zip(a2, unknown, strict=True))
-        return [position, rate]
+        unknown = np.array([eye[layout.local_derivative(phase, j)] for j in range(len(weights[0]))])
+        stated = (form.rates, form.accelerations)[: layout.order - 1]
+        starts = [self._positions(eye, form), *(eye[part] for part in stated)]
+        lower = []
+        for derivative in range(layout.order):
+            above = layout.order - derivative
+            taylor = [starts[derivative + m] * (h * c) ** m / math.factorial(m) for m in range(above)]
+            lower.append(sum(taylor) + h**above * np.tensordot(weights[above - 1], unknown, axes=1))
+        return lower
 
     @staticmethod
     def _positions(eye: np.ndarray, form: NodeLayout) -> np.ndarray:

@@ -26,11 +26,14 @@ DIFFERENCE_STEP = 1e-3
 class MotionSource(Protocol):
     """A motion from which variables are computed, in SI units and in the coordinates of each node's form."""
 
-    def node_state(self, k: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return configuration and velocity at node k, in Pinocchio's convention."""
+    def node_state(self, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return configuration, velocity and acceleration at node k, in Pinocchio's convention."""
 
     def at_point(self, k: int, i: int, node: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the highest derivative and wrenches at point i of interval k, which starts at ``node``."""
+        """Return the second derivative and wrenches at point i of interval k, which starts at ``node``.
+
+        A velocity source has the first derivative.
+        """
 
     def impulses(self, k: int) -> np.ndarray | None:
         """Return the impulses of the impact at stage k; None for the least-norm ones that cause its jump."""
@@ -52,20 +55,32 @@ def unknowns_from_motion(
     x = np.zeros(layout.n_unknowns)
     previous = {} if near is None else {id(layout.coordinates): near}
     for k, form in enumerate(layout.forms):
-        state = form.coordinates.node_from_pinocchio(*source.node_state(k))
+        q, v, a = source.node_state(k)
+        state = form.coordinates.node_from_pinocchio(q, v)
         state = form.coordinates.continued(state, previous.get(id(form.coordinates), state))
         previous[id(form.coordinates)] = state
-        x[layout.node(k)] = form.node(state, time_scales)
+        second = form.coordinates.acceleration_from_pinocchio(q, v, a) if layout.order == 3 else None
+        x[layout.node(k)] = form.node(state, time_scales, second)
     for k, stage in enumerate(layout.stages):
         window = x[layout.window(k)]
         if stage.kind is StageKind.INTERVAL:
-            for i in range(layout.scheme_of(stage.phase).s):
-                highest, wrench = source.at_point(k, i, window[: layout.forms[k].size])
-                window[layout.local_derivative(stage.phase, i)] = highest
-                window[layout.local_wrench(stage.phase, i)] = wrench
+            _fill_interval(layout, k, window, source)
         elif stage.kind is StageKind.IMPACT:
             _fill_impact(layout, k, window, x[layout.node(k + 1)], source.impulses(k))
     return x
+
+
+def _fill_interval(layout: Layout, k: int, window: np.ndarray, source: MotionSource) -> None:
+    """Set the highest derivative and the wrenches; jerks are those of the polynomial through accelerations."""
+    phase, form = layout.stages[k].phase, layout.forms[k]
+    scheme, node = layout.scheme_of(phase), window[: form.size]
+    values, wrenches = zip(*(source.at_point(k, i, node) for i in range(scheme.s)), strict=True)
+    highest = np.array(values)
+    if layout.order == 3:
+        highest = scheme.differentiation[1] @ np.vstack([node[form.accelerations], highest]) / layout.steps[k]
+    for i, wrench in enumerate(wrenches):
+        window[layout.local_derivative(phase, i)] = highest[i]
+        window[layout.local_wrench(phase, i)] = wrench
 
 
 def _fill_impact(
@@ -107,12 +122,17 @@ class _ProblemGuess(MotionSource):
     states: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict)
 
     @override
-    def node_state(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+    def node_state(self, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         layout, problem = self.transcription.layout, self.transcription.problem
         if k == 0 and problem.periodicity is None:
             return initial_state(problem, layout)
-        q, v = self._state(layout.node_times[k], node_phase(layout, k))
-        return layout.in_coordinates_of(layout.forms[k], q, v, np.zeros_like(v))[:2]
+        phase, a = node_phase(layout, k), np.zeros(problem.robot.nv)
+        q, v = self._state(layout.node_times[k], phase)
+        if layout.order == 3:
+            steps = (-DIFFERENCE_STEP, DIFFERENCE_STEP)
+            before, after = (self._state(layout.node_times[k] + step, phase)[1] for step in steps)
+            a = (after - before) / (2 * DIFFERENCE_STEP)
+        return layout.in_coordinates_of(layout.forms[k], q, v, a)
 
     @override
     def at_point(self, k: int, i: int, node: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -121,7 +141,7 @@ class _ProblemGuess(MotionSource):
         if k not in self.states:
             self.states = {k: self._states(k)}
         q, v, a = layout.in_coordinates_of(form, *(each[i] for each in self.states[k]))
-        if layout.order == 2:
+        if layout.order >= 2:
             highest = form.coordinates.acceleration_from_pinocchio(q, v, a)
         else:
             highest = form.coordinates.node_from_pinocchio(q, v)[-form.coordinates.nv :]

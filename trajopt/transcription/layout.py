@@ -41,7 +41,7 @@ class Layout:
         robot: the robot.
         schedule: contacts over time.
         mesh: scheme and intervals of each phase.
-        order: order of the equations of motion: 2, or 1 for a velocity source, whose nodes have no rates.
+        order: highest derivative among the variables: 2, 3 for jerks, or 1 for a velocity source.
         modes: minimal coordinates of phases, by the phase's name.
         closed: whether the two ends are compared, so that their rates must be in true time.
     """

@@ -154,7 +154,7 @@ class NlpNames:
     def _name_interval(self, names: list[tuple[Label, StagePoint]], window: np.ndarray, k: int) -> None:
         layout, form = self.layout, self.layout.forms[k]
         phase = layout.stages[k].phase
-        kind = "acceleration" if layout.order == 2 else "rate"
+        kind = ("rate", "acceleration", "jerk")[layout.order - 1]
         labels = coordinate_labels(form.robot, form.coordinates, kind)
         forces = _wrenches(layout.contacts[phase], "force", "moment")
         for i in range(layout.scheme_of(phase).s):

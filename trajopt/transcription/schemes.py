@@ -6,6 +6,8 @@ length h, the scheme gives at point i and at the interval's end
     xi'(c_i) = xi'_k + h sum_j A1_ij y_j                    xi'_(k+1) = xi'_k + h sum_j b1_j y_j
     xi(c_i)  = xi_k + h c_i xi'_k + h^2 sum_j A2_ij y_j     xi_(k+1)  = xi_k + h xi'_k + h^2 sum_j b2_j y_j
 
+and if ``y`` is the third derivative, A1, A2, A3 give xi'', xi', xi in the same way, with Taylor's terms of the start.
+
 Gauss-Legendre and Radau IIA are collocation of the acceleration: A1 and A2 are the integrals and
 double integrals of the Lagrange polynomials through the points (de Boor and Swartz, "Collocation
 at Gaussian points", 1973: order 2 s and 2 s - 1 at the nodes). The classic schemes integrate the
@@ -44,6 +46,7 @@ class Scheme:
         A2: weights (s, s) of y in xi at the points.
         b1: weights (s,) of y in xi' at the end; also the quadrature weights of the running cost.
         b2: weights (s,) of y in xi at the end.
+        A3, b3: the next weights (s, s) and (s,), for y the third derivative; None if the scheme has none.
 
     Raises:
         InputError: for points that do not ascend or are not within 0 to 1, or for an order that the
@@ -57,12 +60,15 @@ class Scheme:
     A2: np.ndarray
     b1: np.ndarray
     b2: np.ndarray
+    A3: np.ndarray | None = None
+    b3: np.ndarray | None = None
     s: int = field(init=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "s", len(self.c))
-        for array in (self.c, self.A1, self.A2, self.b1, self.b2):
-            array.setflags(write=False)
+        for array in (self.c, self.A1, self.A2, self.b1, self.b2, self.A3, self.b3):
+            if array is not None:
+                array.setflags(write=False)
         _require_points(self.name, self.c)
         degrees = np.arange(self.order)
         wrong = np.abs(self.b1 @ self.c[:, None] ** degrees - 1 / (degrees + 1)) > ROUNDING
@@ -91,34 +97,42 @@ class Scheme:
         """Matrix (len(fractions), s) that evaluates the Lagrange polynomials through the points."""
         return _values(self._lagrange[0], np.asarray(fractions, dtype=float))
 
-    def lower_at(self, fraction: float) -> tuple[np.ndarray, np.ndarray]:
-        """Weights (s,) of y in xi' (over h) and in xi (over h^2) at a fraction of the interval.
+    def lower_at(self, fraction: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Weights (s,) of the integrals of y, over h, h^2 and h^3, at a fraction of the interval.
 
-        They are those of the interpolant of solution files: the integrals of the Lagrange polynomials, plus a
+        The first two are those of the interpolant of solution files: the integrals of the Lagrange polynomials, plus a
         cubic that closes the gap to the next node for schemes that have one (classic, semi-implicit Euler).
         """
-        rate, position = (_values(bases, np.array([fraction]))[0] for bases in self._lagrange[1:])
+        first, second, third = (_values(bases, np.array([fraction]))[0] for bases in self._lagrange[1:])
         ramp = fraction**2 * (3 - 2 * fraction)
         rate_gap, gap = self._gaps
-        return rate + fraction * rate_gap, position + ramp * gap
+        return first + fraction * rate_gap, second + ramp * gap, third
+
+    def points_of(self, order: int) -> list[np.ndarray]:
+        """The weights A1, A2, ... (s, s) of the integrals at the points, one for each lower derivative."""
+        return [weights for weights in (self.A1, self.A2, self.A3)[:order] if weights is not None]
+
+    def ends_of(self, order: int) -> list[np.ndarray]:
+        """The weights b1, b2, ... (s,) of the integrals at the end."""
+        return [weights for weights in (self.b1, self.b2, self.b3)[:order] if weights is not None]
 
     @cached_property
     def _gaps(self) -> tuple[np.ndarray, np.ndarray]:
         """Differences (s,) between b1, b2 and the integrals of the Lagrange polynomials over the interval."""
-        rate, position = (_values(bases, np.ones(1))[0] for bases in self._lagrange[1:])
+        rate, position = (_values(bases, np.ones(1))[0] for bases in self._lagrange[1:3])
         return self.b1 - rate, self.b2 - position
 
     @cached_property
     def _lagrange(self) -> list[list[Polynomial]]:
-        """The Lagrange polynomials through the points, and their first and second integrals."""
+        """The Lagrange polynomials through the points, and their first three integrals."""
         bases = _lagrange(self.c)
-        return [[basis.integ(times) if times else basis for basis in bases] for times in range(3)]
+        return [[basis.integ(times) if times else basis for basis in bases] for times in range(4)]
 
     @cached_property
     def polynomials(self) -> np.ndarray:
         """Coefficients (3, s + 2, s), by powers of the fraction, of y in xi'', xi' / h and xi / h^2."""
         result = np.zeros((3, self.s + 2, self.s))
-        for times, bases in enumerate(self._lagrange):
+        for times, bases in enumerate(self._lagrange[:3]):
             for j, basis in enumerate(bases):
                 result[times, : len(basis.coef), j] = basis.coef
         return result
@@ -182,6 +196,8 @@ def collocation(name: str, order: int, c: np.ndarray) -> Scheme:
         A2=_integrals(c, c, 2),
         b1=_integrals(c, one, 1)[0],
         b2=_integrals(c, one, 2)[0],
+        A3=_integrals(c, c, 3),
+        b3=_integrals(c, one, 3)[0],
     )
 
 

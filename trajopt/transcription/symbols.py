@@ -93,7 +93,8 @@ def node_labels(form: NodeLayout, free_phases: Sequence[str]) -> list[Label]:
     additive = [positions[int(index)] for index in form.coordinates.additive_index]
     durations = [Label(owner=f"phase {name}", kind="time scale", quantity="duration") for name in free_phases]
     rotations = rotation_labels(form.robot, form.coordinates)
-    return [*rotations, *additive, *(rates if form.order == 2 else []), *durations]
+    second = coordinate_labels(form.robot, form.coordinates, "acceleration")
+    return [*rotations, *additive, *[*rates, *second][: (form.order - 1) * len(rates)], *durations]
 
 
 def input_labels(context: Context, form: NodeLayout, free_phases: Sequence[str]) -> list[Label]:
@@ -104,7 +105,7 @@ def input_labels(context: Context, form: NodeLayout, free_phases: Sequence[str])
     impact = context.place is Place.IMPACT
     labels = rotation_labels(robot, coordinates)
     highest = "jump" if impact else "acceleration"
-    kinds = ["position", "rate", *([highest] if form.order == 2 else [])]
+    kinds = ["position", "rate", highest, "jerk"][: 3 if impact else form.order + 1]
     for kind in kinds:
         labels += coordinate_labels(robot, coordinates, kind)
     names = ("impulse", "angular impulse") if impact else ("force", "moment")

@@ -127,14 +127,15 @@ class TermFunctions:
         return _stage_terms(f"moment_{term.name}", context, ca.SX(0), [(term.name, rows)])
 
     def end(self, form: NodeLayout) -> PointFunction | None:
-        """Rotations, and body rates if any, at an interval's end from (rotations, theta, theta')."""
+        """Rotations, and body rates and their rates if any, from (rotations, theta, theta', theta'')."""
         n = form.coordinates.n_rotations
         if n == 0:
             return None
-        z = ca.SX.sym("z", (10 if form.order == 2 else 7) * n)
-        rates = z[7 * n :] if form.order == 2 else ca.SX.zeros(3 * n)
-        quaternions, body_rates = form.coordinates.next_rotations(z[: 4 * n], z[4 * n : 7 * n], rates)
-        return _plain("interval_end", z, [quaternions, *([body_rates] if form.order == 2 else [])])
+        z = ca.SX.sym("z", (4 + 3 * form.order) * n)
+        full = ca.vertcat(z, ca.SX.zeros(3 * (3 - form.order) * n))
+        theta, rates, second = ca.vertsplit(full[4 * n :], 3 * n)
+        parts = form.coordinates.next_rotations(z[: 4 * n], theta, rates, second)
+        return _plain("interval_end", z, parts[: form.order])
 
     def change(self, k: int) -> PointFunction:
         """Map from node k to the next node, which has other coordinates or rates in another time scale."""
@@ -144,13 +145,13 @@ class TermFunctions:
         time_scales = context.z[before.time_scales.tolist()] if before.n_time_scales else ca.SX(0, 1)
         if after.coordinates is before.coordinates:
             n = len(before.rotations) + len(before.additive)
-            configuration, rates = context.z[:n], context.rates
+            configuration, rates, second = context.z[:n], context.rates, context.second
         else:
             state = self._mapped(context, before, after)
             n = state.numel() - after.coordinates.nv
-            configuration, rates = state[:n], state[n:]
+            configuration, rates, second = state[:n], state[n:], context.second
         ratio = ca.SX(1) if after.time_scale is None else time_scales[after.time_scale]
-        parts = [configuration, ratio * rates] if after.order == 2 else [configuration]
+        parts = [configuration, ratio * rates, ratio**2 * second][: after.order]
         return _plain("change", context.z, [*parts, time_scales])
 
     def _mapped(self, context: Context, before: NodeLayout, after: NodeLayout) -> ca.SX:

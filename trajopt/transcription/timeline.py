@@ -33,10 +33,11 @@ class StageKind(Enum):
 
 @dataclass(frozen=True, eq=False)
 class NodeLayout:
-    """Entries of a node: rotations, additive positions, rates, and the time scales of all free phases.
+    """Entries of a node: rotations, additive positions, rates, accelerations, time scales of all free phases.
 
     ``time_scale`` is the index of the time scale in which the rates are measured, None for true time. Nodes
-    of ``order`` 1 (a velocity source) have no rates. The arrays are indices within the node.
+    of ``order`` 1 (a velocity source) have no rates, and only those of order 3 have accelerations. The arrays
+    are indices within the node.
     """
 
     robot: Robot
@@ -59,17 +60,28 @@ class NodeLayout:
     def rates(self) -> np.ndarray:
         """Indices of the rates (nv, or none)."""
         start = len(self.rotations) + len(self.additive)
-        return start + np.arange(self.coordinates.nv if self.order == 2 else 0)
+        return start + np.arange(self.coordinates.nv if self.order >= 2 else 0)
+
+    @cached_property
+    def accelerations(self) -> np.ndarray:
+        """Indices of the accelerations (nv, or none)."""
+        start = len(self.rotations) + len(self.additive) + len(self.rates)
+        return start + np.arange(self.coordinates.nv if self.order == 3 else 0)
 
     @cached_property
     def time_scales(self) -> np.ndarray:
         """Indices of the time scales."""
-        return len(self.rotations) + len(self.additive) + len(self.rates) + np.arange(self.n_time_scales)
+        return self.n_state + np.arange(self.n_time_scales)
+
+    @cached_property
+    def n_state(self) -> int:
+        """Number of entries without the time scales."""
+        return sum(map(len, (self.rotations, self.additive, self.rates, self.accelerations)))
 
     @property
     def size(self) -> int:
         """Number of entries."""
-        return len(self.rotations) + len(self.additive) + len(self.rates) + self.n_time_scales
+        return self.n_state + self.n_time_scales
 
     def state(self, node: np.ndarray) -> np.ndarray:
         """State (rotations, additive positions, rates) of a node or of several (n, size).
@@ -77,16 +89,30 @@ class NodeLayout:
         Rates are in true time, and zero if the node has none.
         """
         rows = np.atleast_2d(np.asarray(node, dtype=float))
-        rates = rows[:, self.rates] if self.order == 2 else np.zeros((len(rows), self.coordinates.nv))
+        rates = rows[:, self.rates] if self.order >= 2 else np.zeros((len(rows), self.coordinates.nv))
         if self.time_scale is not None:
             rates = rates / rows[:, self.time_scales[self.time_scale], None]
         return np.hstack([rows[:, self.rotations], rows[:, self.additive], rates])
 
-    def node(self, state: np.ndarray, time_scales: np.ndarray) -> np.ndarray:
-        """The node (size,) of a state with rates in true time, at these time scales (n_time_scales,)."""
-        n = len(self.rotations) + len(self.additive)
-        rates = state[n:] * (1.0 if self.time_scale is None else time_scales[self.time_scale])
-        return np.concatenate([state[:n], rates if self.order == 2 else rates[:0], time_scales])
+    def node(
+        self, state: np.ndarray, time_scales: np.ndarray, acceleration: np.ndarray | None = None
+    ) -> np.ndarray:
+        """The node (size,) of a state with rates in true time, at these time scales (n_time_scales,).
+
+        ``acceleration`` (nv,) is the second derivative of the local coordinates in true time, default zero.
+        """
+        n, scale = len(self.rotations) + len(self.additive), self.scale_of(time_scales)
+        second = np.zeros(self.coordinates.nv) if acceleration is None else acceleration * scale**2
+        parts = (state[:n], (state[n:] * scale)[: len(self.rates)], second[: len(self.accelerations)])
+        return np.concatenate([*parts, time_scales])
+
+    def acceleration(self, node: np.ndarray) -> np.ndarray:
+        """Second derivatives (nv,) of the local coordinates at a node of order 3, in true time."""
+        return node[self.accelerations] / self.scale_of(node[self.time_scales]) ** 2
+
+    def scale_of(self, time_scales: np.ndarray) -> float:
+        """The time scale in which the rates are measured, among those of a node."""
+        return 1.0 if self.time_scale is None else float(time_scales[self.time_scale])
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from trajopt.errors import InputError, shown
 from trajopt.problem.periodicity import closing_map
 from trajopt.problem.problem import Problem
 from trajopt.robot.units import Units
+from trajopt.terms.context_symbols import ORDERS
 from trajopt.terms.moments import MomentConstraint
 from trajopt.transcription.collocation import Collocation
 from trajopt.transcription.layout import Layout
@@ -149,7 +150,7 @@ class Transcriber:
     """Builds a Transcription step by step; ``build()`` reads top to bottom."""
 
     def __init__(self, problem: Problem, mesh: Mesh) -> None:
-        order = 1 if problem.actuation == "velocity" else 2
+        order = ORDERS[problem.actuation]
         self.problem = problem
         self.layout = Layout(
             problem.robot,
@@ -289,8 +290,11 @@ class Transcriber:
         end = self.functions.end(form)
         if end is None:
             return
-        rotating = form.rates[form.coordinates.rotation_index] if form.order == 2 else form.rates
-        local = np.concatenate([form.rotations, rotating])
+        rotating = [
+            part[form.coordinates.rotation_index]
+            for part in (form.rates, form.accelerations)[: form.order - 1]
+        ]
+        local = np.concatenate([form.rotations, *rotating])
         for stages in self._alike(phase):
             self.groups.append(
                 _gap_group(

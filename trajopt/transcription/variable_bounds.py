@@ -44,7 +44,7 @@ def _node_values(
     values = np.full(form.size, free)
     if at.positions:
         values[form.additive] = positions[form.coordinates.additive_index]
-    if at.rates and form.order == 2 and form.time_scale is None:
+    if at.rates and form.order >= 2 and form.time_scale is None:
         values[form.rates] = rates
     return values
 
@@ -69,34 +69,34 @@ def _fix_start(
             fixed_at = place[len(form.rotations) + row] / collocation.node_scale(form)[entry]
             own_lower[entry] = own_upper[entry] = fixed_at
         return
-    q, v = initial_state(problem, layout)
+    q, v, _ = initial_state(problem, layout)
     start = form.node(form.coordinates.node_from_pinocchio(q, v), np.ones(form.n_time_scales))
     start = start / collocation.node_scale(form)
     fixed = np.setdiff1d(np.arange(form.size), form.time_scales)
     own_lower[fixed], own_upper[fixed] = start[fixed], start[fixed]
-    if form.time_scale is not None and form.order == 2:
+    if form.time_scale is not None and form.order >= 2:
         moving = form.rates[start[form.rates] != 0.0]
         own_lower[moving], own_upper[moving] = -np.inf, np.inf
 
 
-def initial_state(problem: Problem, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
-    """Configuration and velocity at the start in the coordinates of the first phase."""
+def initial_state(problem: Problem, layout: Layout) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Configuration, velocity and zero acceleration at the start in the coordinates of the first phase."""
     still = np.zeros(problem.robot.nv)
-    return layout.in_coordinates_of(layout.form_of(0), problem.initial_q, problem.initial_v, still)[:2]
+    return layout.in_coordinates_of(layout.form_of(0), problem.initial_q, problem.initial_v, still)
 
 
 def scaled_rate_limits(problem: Problem, layout: Layout, collocation: Collocation) -> Iterator[LinearRows]:
     """Linear rows on rates in a free time scale: their limits at nodes, and nonzero rates at the start."""
     for term, at, bounds in _stated_limits(problem, layout):
         form = layout.forms[at.node]
-        if at.rates and form.time_scale is not None and form.order == 2:
+        if at.rates and form.time_scale is not None and form.order >= 2:
             block, lower, upper = _scaled_rate_limit(form, bounds[2:], collocation)
             if len(lower):
                 rows = over_unknowns(layout, [(at.node, block)])
                 yield LinearRows(term.name, at.node, rows, lower, upper)
     form = layout.forms[0]
-    if form.time_scale is not None and form.order == 2:
-        state = form.coordinates.node_from_pinocchio(*initial_state(problem, layout))
+    if form.time_scale is not None and form.order >= 2:
+        state = form.coordinates.node_from_pinocchio(*initial_state(problem, layout)[:2])
         rates = form.node(state, np.ones(form.n_time_scales))[form.rates]
         moving = np.flatnonzero(rates)
         if len(moving):
