@@ -135,7 +135,8 @@ def input_samples(arrays: Mapping[str, np.ndarray], number: int, order: int) -> 
     points, fractions = collocation_fractions(arrays, number)
     if order < 3:
         return points, fractions
-    return np.r_[points[0] - 1, points, points[-1] + 1], np.r_[0.0, fractions, 1.0]
+    last = fractions[-1:] < 1.0  # Radau's points contain the end
+    return np.r_[points[0] - 1, points, points[-1:][last] + 1], np.r_[0.0, fractions, np.ones(1)[last]]
 
 
 def _sum(powers: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
@@ -158,6 +159,9 @@ class InterpolatedMotion:
             order: See `MotionPolynomials`.
         """
         counts = np.bincount(arrays["interval"][arrays["collocation"]], minlength=len(arrays["interval_t"]))
+        if order == 3:
+            every = range(len(counts))
+            counts = np.array([3 * s + len(input_samples(arrays, k, order)[0]) for k, s in zip(every, counts, strict=True)])
         alike = [np.flatnonzero(counts == s) for s in set(counts)]
         return cls(groups=tuple(MotionPolynomials.of(model, arrays, order, numbers) for numbers in alike))
 

@@ -49,6 +49,7 @@ from trajopt.terms.dynamics import (
 from trajopt.terms.friction import contact_cones
 from trajopt.terms.interfaces import Cost, NodeConstraint, PointConstraint, Term
 from trajopt.terms.landing import ContactLanding
+from trajopt.terms.limits import AccelerationLimits, LimitsAtNodes
 from trajopt.terms.moments import MomentConstraint
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.terrain import Ground, Terrain
@@ -301,7 +302,9 @@ class Problem:
             for i, phase in enumerate(self.schedule.phases)
             if self.holds_contacts and self.schedule.new_contacts(i)
         )
-        return landings + tuple(term for term in self.terms if isinstance(term, NodeConstraint))
+        limits = [term for term in self.terms if isinstance(term, AccelerationLimits)]
+        at_nodes = tuple(LimitsAtNodes(limits=term) for term in limits if self.actuation == "jerk")
+        return landings + tuple(term for term in self.terms if isinstance(term, NodeConstraint)) + at_nodes
 
     @property
     def moment_constraints(self) -> tuple[MomentConstraint, ...]:

@@ -2,6 +2,7 @@ from .actuators.actuation import Thruster as Thruster
 from .actuators.beams import Beam as Beam
 from .actuators.drive import Drive as Drive
 from .actuators.joint_force import JointForce as JointForce
+from .actuators.joint_limits import JointLimits as JointLimits
 from .actuators.mimic import MimicJoint as MimicJoint
 from .building import sagittal as sagittal
 from .contact import Contact as Contact

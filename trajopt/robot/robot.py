@@ -23,6 +23,12 @@ from trajopt.robot import building, changes
 from trajopt.robot.actuators.actuation import Actuation, Thruster, least_inputs
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.actuators.joint_force import SPRING, JointForce, described_forces
+from trajopt.robot.actuators.joint_limits import (
+    HigherLimit,
+    JointLimits,
+    limits_by_row,
+    require_joint_limits,
+)
 from trajopt.robot.actuators.mimic import MimicJoint, require_mimics
 from trajopt.robot.actuators.on_robot import actuated_row_limit, drive_fields, drives_by_row, require_drives
 from trajopt.robot.contact import Contact, require_frame
@@ -63,6 +69,7 @@ class Robot:
         thrusters: thrusters on the base, whose forces are the last inputs; set with `with_thrusters`.
         joint_forces: springs, damping and dry friction of joints; set with `with_joint_forces`.
         mimics: mimic joints, which follow others; set with `with_mimics`.
+        joint_limits: limits of acceleration and jerk; set with `with_joint_limits`.
 
     Raises:
         InputError: for an unknown frame, a wrong shape, a number that is not finite, a reference outside the
@@ -85,6 +92,7 @@ class Robot:
     thrusters: tuple[Thruster, ...] = ()
     joint_forces: tuple[JointForce, ...] = ()
     mimics: tuple[MimicJoint, ...] = ()
+    joint_limits: tuple[JointLimits, ...] = ()
 
     def __post_init__(self) -> None:
         kind = base_of(self.model)
@@ -248,6 +256,16 @@ class Robot:
             "torque_limit": None if self.torque_limit is None else self.torque_limit[actuators],
             "drives": None if self.drives is None else tuple(self.drives[int(row)] for row in actuators),
         }
+
+    @checked
+    def with_joint_limits(self, limits: Sequence[JointLimits]) -> Robot:
+        """Return this robot with limits of acceleration and jerk. Raises `InputError` for an unknown joint."""
+        require_joint_limits(self.model, limits)
+        return replace(self, joint_limits=tuple(limits))
+
+    def joint_limit(self, kind: HigherLimit) -> np.ndarray:
+        """Limits (nv,) of acceleration or jerk, rad/s^2 or rad/s^3 (m), inf where there is none."""
+        return limits_by_row(self.model, self.joint_limits, kind)
 
     @checked
     def with_drives(self, drives: Mapping[str, Drive | None] | Sequence[Drive | None]) -> Robot:

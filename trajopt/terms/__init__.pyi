@@ -6,6 +6,7 @@ from .costs import AccelerationCost as AccelerationCost
 from .costs import DistanceCost as DistanceCost
 from .costs import FrameHeightCost as FrameHeightCost
 from .costs import ImpulseCost as ImpulseCost
+from .costs import JerkCost as JerkCost
 from .costs import NodeCost as NodeCost
 from .costs import PostureCost as PostureCost
 from .costs import TimeCost as TimeCost
@@ -40,6 +41,8 @@ from .interfaces import PointConstraint as PointConstraint
 from .interfaces import Rows as Rows
 from .interfaces import Term as Term
 from .landing import ContactLanding as ContactLanding
+from .limits import AccelerationLimits as AccelerationLimits
+from .limits import JerkLimits as JerkLimits
 from .limits import PositionLimits as PositionLimits
 from .limits import TorqueLimits as TorqueLimits
 from .limits import VelocityLimits as VelocityLimits

@@ -63,6 +63,24 @@ class AccelerationCost(Cost):
 
 @checked
 @dataclass(frozen=True, kw_only=True)
+class JerkCost(Cost):
+    """Cost on the third derivatives of the local coordinates, where jerks are the input.
+
+        w |(d3 xi / dt3) / u|^2 / nv
+
+    with the unit u of each entry, g sqrt(g / l) or (g / l)^(3/2).
+
+    Args:
+        weight: w, dimensionless.
+    """
+
+    @override
+    def residual(self, context: Context, units: Units) -> ca.SX:
+        return context.dddxi / units.jerk
+
+
+@checked
+@dataclass(frozen=True, kw_only=True)
 class VelocityCost(Cost):
     """Cost on the rates of the local coordinates.
 

@@ -14,10 +14,11 @@ from trajopt.dynamics.base_joint import BASE_ROWS
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError
 from trajopt.kinds import ArrayShape
+from trajopt.robot.actuators.joint_limits import HigherLimit
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.terms.context import Context
-from trajopt.terms.interfaces import PointConstraint, Rows, Term
+from trajopt.terms.interfaces import NodeConstraint, NodePlace, PointConstraint, Rows, Term
 
 
 def _rows_within(
@@ -54,10 +55,7 @@ class TorqueLimits(PointConstraint):
     far: bool = False
 
     def __post_init__(self) -> None:
-        given = np.atleast_1d(np.asarray(0.0 if self.limit is None else self.limit, dtype=float))
-        if not np.all(given >= 0):
-            wrong = given[~(given >= 0)][0]
-            raise InputError(f"limit of {self.name} holds {wrong:g}", "allowed: numbers >= 0, or inf, N m")
+        _require_limits(self.name, self.limit, "N m")
 
     def left_out(self, robot: Robot) -> np.ndarray:
         """Mask (nu,) of the limits that have no row because they seem out of reach."""
@@ -167,6 +165,96 @@ class PositionLimits(PointConstraint):
         lower, upper = self._limits(robot, Context(robot, Coordinates(robot.model), (), node=True))
         free = np.full(robot.nv, np.inf)
         return lower, upper, -free, free
+
+
+@checked
+@dataclass(frozen=True, kw_only=True)
+class AccelerationLimits(PointConstraint):
+    """Joint accelerations within limits, at points, and at nodes where jerks are the input.
+
+        |xi_j''| <= limit_j
+
+    Rows are over g or g / l.
+
+    Args:
+        limit: (nv,), rad/s^2 or m/s^2, inf where there is none; default `Robot.joint_limits`.
+
+    Raises:
+        InputError: for limits that are negative or NaN.
+    """
+
+    limit: Annotated[np.ndarray, ArrayShape((None,), infinite=True)] | None = None
+
+    def __post_init__(self) -> None:
+        _require_limits(self.name, self.limit, "rad/s^2")
+
+    @override
+    def rows(self, context: Context, units: Units) -> Rows | None:
+        limit = _higher_limit(self, self.limit, context, "acceleration")
+        return _rows_within(lambda: context.ddxi, -limit, limit, units.acceleration)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LimitsAtNodes(NodeConstraint):
+    """Rows of `AccelerationLimits` at the nodes of its phases, where accelerations are part of the state."""
+
+    limits: AccelerationLimits
+
+    @property
+    @override
+    def name(self) -> str:
+        return self.limits.name
+
+    @override
+    def acts_at(self, place: NodePlace) -> bool:
+        return self.limits.acts_in(place.phase.name)
+
+    @override
+    def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
+        return self.limits.rows(context, units) or Rows.create(ca.SX(0, 1), 0, 0, 1)
+
+
+@checked
+@dataclass(frozen=True, kw_only=True)
+class JerkLimits(PointConstraint):
+    """Joint jerks within limits at points, where jerks are the input.
+
+        |d3 xi_j / dt3| <= limit_j
+
+    Rows are over g sqrt(g / l) or (g / l)^(3/2).
+
+    Args:
+        limit: (nv,), rad/s^3 or m/s^3, inf where there is none; default `Robot.joint_limits`.
+
+    Raises:
+        InputError: for limits that are negative or NaN, and for another input than jerks.
+    """
+
+    limit: Annotated[np.ndarray, ArrayShape((None,), infinite=True)] | None = None
+
+    def __post_init__(self) -> None:
+        _require_limits(self.name, self.limit, "rad/s^3")
+
+    @override
+    def rows(self, context: Context, units: Units) -> Rows | None:
+        limit = _higher_limit(self, self.limit, context, "jerk")
+        return _rows_within(lambda: context.dddxi, -limit, limit, units.jerk)
+
+
+def _require_limits(term: str, limit: np.ndarray | None, unit: str) -> None:
+    given = np.atleast_1d(np.asarray(0.0 if limit is None else limit, dtype=float))
+    if not np.all(given >= 0):
+        raise InputError(
+            f"limit of {term} holds {given[~(given >= 0)][0]:g}", f"allowed: numbers >= 0, or inf, {unit}"
+        )
+
+
+def _higher_limit(term: Term, limit: np.ndarray | None, context: Context, kind: HigherLimit) -> np.ndarray:
+    """The limits (nv,) of a term, given or the robot's. Raises `InputError` for another shape."""
+    rows = context.robot.joint_limit(kind) if limit is None else np.asarray(limit, dtype=float)
+    if rows.shape != (context.robot.nv,):
+        raise InputError(f"limit of {term.name} has shape {rows.shape}", f"allowed: ({context.robot.nv},)")
+    return rows
 
 
 def with_far_limits(terms: Sequence[Term], robot: Robot) -> tuple[Term, ...]:

@@ -145,6 +145,8 @@ class TerminalRest(NodeConstraint):
 
     Args:
         q: configuration (nq,) at which these directions are taken; default that of the guess.
+
+    Where jerks are the input, accelerations vanish as well, N^T (xi'' / u) = 0.
     """
 
     q: np.ndarray | None = None
@@ -152,7 +154,11 @@ class TerminalRest(NodeConstraint):
     @override
     def rows(self, context: Context, units: Units, place: NodePlace) -> Rows:
         q = guessed_posture(context) if self.q is None else self.q
-        return free_rows(context, place, q, context.dxi / units.velocity)
+        rates = free_rows(context, place, q, context.dxi / units.velocity)
+        if context.actuation != "jerk":
+            return rates
+        second = free_rows(context, place, q, context.ddxi / units.acceleration)
+        return Rows.create(ca.vertcat(rates.expression, second.expression), 0, 0, 1.0)
 
 
 def guessed_posture(context: Context) -> np.ndarray:
