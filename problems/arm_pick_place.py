@@ -88,6 +88,7 @@ def build(
     payload: float | None,
     goal: str,
     duration: float | None,
+    actuation: str,
 ) -> Problem:
     """Build the task; see ``FAMILY`` for the parameters. Raises InputError."""
     loaded = arms.load(robot)
@@ -115,6 +116,8 @@ def build(
         # Least-time torques jump between limits; polynomials of higher degree overshoot between points.
         default_transcription="legendre:1" if goal == "time" else "legendre:2",
         payloads=dict.fromkeys(CARRIED, cube(arm, mass)) if mass > 0 else {},
+        actuation=actuation,
+        more=arms.input_terms(actuation, goal),
     )
 
 
@@ -151,6 +154,7 @@ FAMILY = Family(
         ),
         common.goal("effort", "time", meaning="objective: torques or time"),
         common.duration("duration", None, "total duration (default: from the limits)", (1e-3, 120.0)),
+        arms.ACTUATION,
     ),
     build=build,
 )

@@ -28,6 +28,7 @@ def build(
     roll: float,
     pitch: float,
     yaw: float,
+    actuation: str,
     **place: float | None,
 ) -> Problem:
     """Build the reach; see ``FAMILY`` for the parameters. Raises InputError.
@@ -60,6 +61,8 @@ def build(
         end=arm.arrival(goal, end, turned=turned),
         parameters=dict(zip("xyz", goal.translation.tolist(), strict=True)) | {"duration": time},
         default_intervals=30,
+        actuation=actuation,
+        more=arms.input_terms(actuation, "effort"),
     )
 
 
@@ -102,6 +105,7 @@ FAMILY = Family(
         ),
         *turns("the start orientation turned to the goal's heading"),
         common.duration("duration", None, "duration (default: estimated from the limits)", (1e-3, 60.0)),
+        arms.ACTUATION,
     ),
     build=build,
 )

@@ -36,6 +36,7 @@ def transfer(
     effort: tuple[Term, ...],
     intervals: int = INTERVALS,
     parameters: dict[str, Any] | None = None,
+    actuation: str = "torque",
 ) -> Problem:
     """From rest to rest between two postures (nq,), in least time or at the costs of ``effort``.
 
@@ -57,10 +58,14 @@ def transfer(
         parameters={"duration": given} | (parameters or {}),
         default_intervals=2 * intervals if fast else intervals,
         default_transcription="legendre:1" if fast else "legendre:2",
+        actuation=actuation,
+        more=arms.input_terms(actuation, goal),
     )
 
 
-def build(*, robot: str, goal: str, turn: float, out: float, up: float, duration: float | None) -> Problem:
+def build(
+    *, robot: str, goal: str, turn: float, out: float, up: float, duration: float | None, actuation: str
+) -> Problem:
     """Build the transfer; see ``FAMILY`` for the parameters. Raises InputError."""
     arm = arms.load(robot)
     start, end = (arm.posture(side * turn / 2, side * out / 2, side * up / 2) for side in (-1, 1))
@@ -72,6 +77,7 @@ def build(*, robot: str, goal: str, turn: float, out: float, up: float, duration
         duration=duration,
         least=arms.least_duration(arm.robot, (start, end)),
         effort=(TorqueCost(weight=1.0), AccelerationCost(weight=SMOOTH_EFFORT)),
+        actuation=actuation,
     )
 
 
@@ -91,6 +97,7 @@ FAMILY = Family(
             "duration, with goal=time its guess (default: estimated from the limits)",
             (1e-3, 60.0),
         ),
+        arms.ACTUATION,
     ),
     build=build,
 )

@@ -13,7 +13,16 @@ from trajopt.errors import InputError
 from trajopt.problem import Parameter, PosturePath, Problem
 from trajopt.robot import Posture, Robot, Units, frame_pose, inverse_kinematics, require_moving
 from trajopt.schedule import Motion, Phase, Schedule
-from trajopt.terms import DriveLimits, FramePose, Term, TerminalRest, TorqueLimits
+from trajopt.terms import (
+    AccelerationLimits,
+    DriveLimits,
+    FramePose,
+    JerkCost,
+    JerkLimits,
+    Term,
+    TerminalRest,
+    TorqueLimits,
+)
 from trajopt_library import robots
 
 from . import common
@@ -184,6 +193,21 @@ def strength(arm: Arm, postures: Sequence[np.ndarray], direction: np.ndarray) ->
 def torque_limits(robot: Robot) -> Term:
     """Torque limits, or those of the drives if the robot has any."""
     return TorqueLimits() if robot.drives is None else DriveLimits()
+
+
+# The control input. With jerks, accelerations are continuous, and zero at both ends.
+ACTUATION = common.choice(
+    "actuation", "control input: torques, or jerks within the robot's limits", "torque", "jerk"
+)
+# Weights of jerks, which give every direction of the motion a cost; see `arm_transfer`.
+SMOOTH_JERK = {"effort": 1e-4, "time": 1e-5}
+
+
+def input_terms(actuation: str, goal: str) -> tuple[Term, ...]:
+    """Limits of accelerations and jerks, and a small cost on jerks, if they are the control input."""
+    if actuation == "torque":
+        return ()
+    return (AccelerationLimits(), JerkLimits(), JerkCost(weight=SMOOTH_JERK[goal]))
 
 
 def between(

@@ -236,7 +236,7 @@ def problem(
     running = effort_costs() if costs is None else costs
     if torques is None:
         torques = torque_limits(robot, torque_limit, torque_share)
-    limits = (torques,) if actuation == "torque" else ()
+    limits = (torques,) if actuation in ("torque", "jerk") else ()
     swings: tuple[Term, ...] = ()
     if clearance is not None:
         swings = swing_clearance(robot, schedule, ground, height=clearance, guess=guess)

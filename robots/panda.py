@@ -1,10 +1,12 @@
 """Panda of Franka Emika, the seven-joint arm with its hand; the fingers are locked."""
 
-from trajopt.robot import Robot, robot_file
+from trajopt.robot import JointLimits, Robot, robot_file
 
 KIND = "arm"
 # Frame between the finger tips, z pointing out of the hand.
 TOOL = "panda_hand_tcp"
+# Limits of libfranka (rate_limiting.h), beyond which the arm stops: rad/s^2, and jerks in rad/s^3 over them.
+ACCELERATION, JERK = (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0), 500.0
 FINGERS = ("panda_finger_joint1", "panda_finger_joint2")
 
 # Posture "default" of the SRDF with closed fingers: elbow up, hand pointing down in front of the base.
@@ -20,11 +22,17 @@ READY = {
 
 
 def build() -> Robot:
-    """Return the Panda with a fixed base and no contacts; limits are those of its URDF."""
-    return Robot.from_urdf(
+    """Return the Panda with a fixed base and no contacts; limits are those of its URDF and of libfranka."""
+    robot = Robot.from_urdf(
         robot_file("panda_description/urdf/panda.urdf"),
         name="panda",
         base="fixed",
         reference=READY,
         locked=FINGERS,
+    )
+    return robot.with_joint_limits(
+        [
+            JointLimits(joint=f"panda_joint{i}", acceleration=acceleration, jerk=JERK * acceleration)
+            for i, acceleration in enumerate(ACCELERATION, 1)
+        ]
     )

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.dynamics.base_joint import UNLIMITED, position_limits
-from trajopt.motion.description import PlanDescription
+from trajopt.motion.description import TORQUE_INPUTS, PlanDescription
 from trajopt.robot.actuators.actuation import Actuation, least_inputs
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.robot import Robot
@@ -32,7 +32,7 @@ class TickLimits:
 def torque_limits(about: PlanDescription, nu: int) -> tuple[np.ndarray, np.ndarray]:
     """Least and largest inputs (nu,); unlimited if the control inputs are not torques."""
     limit = np.full(nu, np.inf)
-    if about.effort_limit is not None and about.actuation == "torque":
+    if about.effort_limit is not None and about.actuation in TORQUE_INPUTS:
         limit = _numbers(about.effort_limit)
     return least_inputs(limit, about.thrusters), limit
 

@@ -68,6 +68,10 @@ class PlannedContact:
         return self.kind == "surface"
 
 
+# Control inputs by which a motion has torques.
+TORQUE_INPUTS = ("torque", "jerk")
+
+
 @checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CarriedBody:

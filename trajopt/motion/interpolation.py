@@ -161,7 +161,9 @@ class InterpolatedMotion:
         counts = np.bincount(arrays["interval"][arrays["collocation"]], minlength=len(arrays["interval_t"]))
         if order == 3:
             every = range(len(counts))
-            counts = np.array([3 * s + len(input_samples(arrays, k, order)[0]) for k, s in zip(every, counts, strict=True)])
+            counts = np.array(
+                [3 * s + len(input_samples(arrays, k, order)[0]) for k, s in zip(every, counts, strict=True)]
+            )
         alike = [np.flatnonzero(counts == s) for s in set(counts)]
         return cls(groups=tuple(MotionPolynomials.of(model, arrays, order, numbers) for numbers in alike))
 

@@ -14,6 +14,7 @@ from trajopt.control.reference import ContactTimeline, ReferenceTrajectory, refe
 from trajopt.control.tracker import Tracker
 from trajopt.dynamics.base_joint import BASE_JOINT, base_of
 from trajopt.errors import InputError, not_among
+from trajopt.motion.description import TORQUE_INPUTS
 from trajopt.motion.input import SolutionOrFile, require_motion, solution_of
 from trajopt.motion.solution import Solution
 from trajopt.robot.mujoco_package import muted_mujoco
@@ -202,6 +203,6 @@ def _notes(scene: Scene) -> tuple[str, ...]:
         notes.append(f"the plan takes {name} {1e3 * max(depth, 0.0):.0f} mm into the ground")
     if about.payloads:
         notes.append("what is carried is part of the link that holds it while the plan carries it")
-    if about.actuation != "torque":
+    if about.actuation not in TORQUE_INPUTS:
         notes.append(f"actuation by {about.actuation}: the drives have no torque limits here")
     return tuple(notes)

@@ -21,6 +21,7 @@ from trajopt.control.mpc.reference import HorizonWeights, Reference, reference_l
 from trajopt.control.reference import ReferenceTrajectory, reference_of
 from trajopt.dynamics.model_quantities import mass_of
 from trajopt.errors import InputError
+from trajopt.motion.description import TORQUE_INPUTS
 from trajopt.motion.samples import contact_places
 from trajopt.motion.solution import Solution
 from trajopt.motion.touched import touched_surfaces
@@ -145,7 +146,12 @@ def _require_fitting(robot: Robot, plan: Solution) -> None:
     if robot.base != "freeflyer":
         raise InputError(f"robot '{robot.name}' has a {robot.base} base", "allowed: a free one")
     about, what = plan.description, f"the plan of '{plan.description.problem}' cannot be replanned"
-    if about.actuation != "torque" or about.payloads or not plan.active.any() or robot.nu < robot.nv - 6:
+    if (
+        about.actuation not in TORQUE_INPUTS
+        or about.payloads
+        or not plan.active.any()
+        or robot.nu < robot.nv - 6
+    ):
         raise InputError(what, "allowed: torques at all joints, contacts, and no payloads")
     masses = [mass_of(model) for model in (plan.model, robot.model)]
     same = list(plan.model.names) == list(robot.model.names) and math.isclose(*masses, rel_tol=SAME)
