@@ -65,10 +65,9 @@ def require_phases(problem: str, robot: Robot, schedule: Schedule) -> None:
 
 def require_actuation(robot: Robot, schedule: Schedule, actuation: str, initial_v: np.ndarray) -> None:
     """Raise `InputError` for a start or a phase that a source of velocities or jerks cannot model."""
-    touching = next((phase.name for phase in schedule.phases if phase.contacts), None)
-    if actuation == "jerk" and (robot.base != "fixed" or touching):
-        what = f"phase '{touching}' has contacts" if touching else f"robot '{robot.name}' has a moving base"
-        raise InputError(f"{what}, and jerks are the input", "allowed: a fixed base without contacts")
+    impact = next((phase.name for phase in schedule.phases if phase.impact), None)
+    if actuation == "jerk" and impact:
+        raise InputError(f"phase '{impact}' begins with an impact, and jerks are the input", "allowed: none")
     if actuation != "velocity":
         return
     if initial_v.any():

@@ -10,6 +10,7 @@ from trajopt.arguments import checked
 from trajopt.robot.contact import Contact
 from trajopt.robot.units import Units
 from trajopt.terms.context import Context
+from trajopt.terms.context_symbols import without_rolling
 from trajopt.terms.interfaces import AtMoment, NodeConstraint, NodePlace, Rows
 from trajopt.terrain.patch import Patch
 from trajopt.terrain.smooth import CurvedSurface
@@ -45,6 +46,7 @@ class ContactLanding(AtMoment, NodeConstraint):
         a_i . p_k >= b_i + margin                     on a patch with edges i, for the corners k of a sole
         J v = 0                                       for a sliding contact  n^T J v = 0,
                                                       for a rolling ball     v - w x r n = 0
+        d/dt (J v) = 0                                where jerks are the input
 
     with p the frame's origin, n the normal and d the height of the surface that the phase states for the
     contact, else of the terrain. A contact with a radius touches it with its ball. Over smooth ground the
@@ -74,11 +76,25 @@ class ContactLanding(AtMoment, NodeConstraint):
                 if surface is not None:
                     velocity, unit = along_normal(context, surface, velocity), units.twist[0]
                 parts.append(Rows.create(velocity, 0.0, 0.0, unit))
+                if context.actuation == "jerk":
+                    parts.append(_still(context, units, contact, rows, surface))
         lower, upper, unit = (
             np.concatenate([np.zeros(0), *[getattr(part, name) for part in parts]])
             for name in ("lower", "upper", "unit")
         )
         return Rows.create(ca.vertcat(*[part.expression for part in parts]), lower, upper, unit)
+
+
+def _still(context: Context, units: Units, contact: Contact, rows: list[int], surface: Surface | None) -> Rows:
+    """The classical acceleration of a contact vanishes, like its velocity."""
+    acceleration, unit = context.frame(contact.frame).acceleration, units.contact_acceleration[rows]
+    lever = context.lever(contact)
+    if lever is not None:
+        acceleration = without_rolling(acceleration, ca.DM(lever))
+    held = acceleration[rows]
+    if surface is not None:
+        held, unit = along_normal(context, surface, held), units.contact_acceleration[0]
+    return Rows.create(held, 0.0, 0.0, unit)
 
 
 def _places(

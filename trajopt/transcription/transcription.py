@@ -417,6 +417,11 @@ def transcribe(
                 f"transcription '{method.name}' states the balance of a velocity source twice at every node",
                 "allowed for a free base: schemes without a point at the start, such as legendre or radau",
             )
+        if problem.actuation == "jerk" and problem.robot.base != "fixed" and (method.s < 2 or method.c[-1] < 1):
+            raise InputError(
+                f"transcription '{method.name}' has {method.s} points, none at the end, and jerks are the input",
+                "allowed with a moving base: radau:2 to radau:4",
+            )
     return Transcriber(problem, chosen).build()
 
 
@@ -444,6 +449,25 @@ def schedule_rows(problem: Problem, layout: Layout, collocation: Collocation) ->
         yield _closing(problem, layout, collocation)
     if problem.duration_bounds is not None and layout.forms[0].n_time_scales:
         yield _duration(problem, layout, collocation)
+    if layout.order == 3:
+        for before, after in itertools.pairwise(layout.interval_stages.tolist()):
+            phase = layout.stages[before].phase
+            if phase == layout.stages[after].phase and layout.n_wrench(phase):
+                yield _continuous(layout, before, after)
+
+
+def _continuous(layout: Layout, before: int, after: int) -> LinearRows:
+    """Rows by which the polynomials of the wrenches of two intervals of a phase meet at their node."""
+    phase = layout.stages[before].phase
+    scheme, n = layout.scheme_of(phase), layout.n_wrench(phase)
+    blocks = []
+    for stage, fraction, sign in ((before, 1.0, 1.0), (after, 0.0, -1.0)):
+        block = np.zeros((n, layout.window_size(stage)))
+        for i, weight in enumerate(scheme.interpolation(np.array([fraction]))[0]):
+            block[np.arange(n), layout.local_wrench(phase, i)] = sign * weight
+        blocks.append((stage, block))
+    zero = np.zeros(n)
+    return LinearRows("force_continuity", after, over_unknowns(layout, blocks), zero, zero)
 
 
 def _closing(problem: Problem, layout: Layout, collocation: Collocation) -> LinearRows:
