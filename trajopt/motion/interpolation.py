@@ -42,9 +42,10 @@ class MotionPolynomials:
     """Polynomials of n intervals with s points each over the interval's fraction, lowest power first.
 
     numbers: (n,) of the intervals. start: (n, nq) initial configurations. rate: (n, nv) initial local rates.
-    step: (n,) s. order: 2, or 1 for velocity input, or 3 for jerks. highest: (n, s, nv), of the first or second
-    derivative, tau: (n, s, nu), f: (n, s, 6 nc) coefficients; with jerks there is one more of accelerations,
-    which are continuous, and two more of torques. gap: (n, 2, nv) gaps of positions and rates at the ends.
+    step: (n,) s. order: 2, or 1 for velocity input, or 3 for jerks. highest: (n, s, nv) of the first or second
+    derivative, tau: (n, s, nu), f: (n, s, 6 nc) coefficients. With jerks, accelerations and torques are known
+    at nodes as well, so that these have more coefficients. gap: (n, 2, nv) gaps of positions and rates at the
+    ends.
     """
 
     model: pin.Model
@@ -160,10 +161,8 @@ class InterpolatedMotion:
         """
         counts = np.bincount(arrays["interval"][arrays["collocation"]], minlength=len(arrays["interval_t"]))
         if order == 3:
-            every = range(len(counts))
-            counts = np.array(
-                [3 * s + len(input_samples(arrays, k, order)[0]) for k, s in zip(every, counts, strict=True)]
-            )
+            known = [len(input_samples(arrays, number, order)[0]) for number in range(len(counts))]
+            counts = 3 * counts + known
         alike = [np.flatnonzero(counts == s) for s in set(counts)]
         return cls(groups=tuple(MotionPolynomials.of(model, arrays, order, numbers) for numbers in alike))
 

@@ -259,7 +259,7 @@ class Robot:
 
     @checked
     def with_joint_limits(self, limits: Sequence[JointLimits]) -> Robot:
-        """Return this robot with limits of acceleration and jerk. Raises `InputError` for an unknown joint."""
+        """Return this robot with limits of acceleration and jerk. Raises InputError for an unknown joint."""
         require_joint_limits(self.model, limits)
         return replace(self, joint_limits=tuple(limits))
 

@@ -144,7 +144,8 @@ def _interval(
 ) -> dict[str, np.ndarray]:
     """Return the motion of the whole robot by the collocation map, and torques by numeric Pinocchio.
 
-    The samples are at the start, the collocation points and the end. ``h`` is the step in s, ``time_scale`` the duration over the nominal duration.
+    The samples are at the start, the collocation points and the end. ``h`` is the step in s, ``time_scale``
+    the duration over the nominal duration.
     """
     phase, form = int(layout.phase_of[k]), layout.forms[k]
     method = layout.scheme_of(phase)
@@ -212,7 +213,7 @@ def _at_points(
         xi = position + h * np.outer(method.c, rates) + h * h * method.A2 @ highest
         return xi, rates + h * method.A1 @ highest, highest
     second = second / time_scale**2
-    xi = position + h * c * rates + (h * c) ** 2 / 2 * second + h**3 * method.A3 @ highest
+    xi = position + h * c * rates + (h * c) ** 2 / 2 * second + h**3 * method.points_of(3)[2] @ highest
     return xi, rates + h * c * second + h * h * method.A2 @ highest, second + h * method.A1 @ highest
 
 

@@ -85,7 +85,9 @@ class ContactLanding(AtMoment, NodeConstraint):
         return Rows.create(ca.vertcat(*[part.expression for part in parts]), lower, upper, unit)
 
 
-def _still(context: Context, units: Units, contact: Contact, rows: list[int], surface: Surface | None) -> Rows:
+def _still(
+    context: Context, units: Units, contact: Contact, rows: list[int], surface: Surface | None
+) -> Rows:
     """The classical acceleration of a contact vanishes, like its velocity."""
     acceleration, unit = context.frame(contact.frame).acceleration, units.contact_acceleration[rows]
     lever = context.lever(contact)

@@ -71,7 +71,7 @@ def unknowns_from_motion(
 
 
 def _fill_interval(layout: Layout, k: int, window: np.ndarray, source: MotionSource) -> None:
-    """Set the highest derivative and the wrenches; jerks are those of the polynomial through accelerations."""
+    """Set the highest derivative and the wrenches; jerks by the polynomial through the accelerations."""
     phase, form = layout.stages[k].phase, layout.forms[k]
     scheme, node = layout.scheme_of(phase), window[: form.size]
     values, wrenches = zip(*(source.at_point(k, i, node) for i in range(scheme.s)), strict=True)

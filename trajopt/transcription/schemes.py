@@ -6,7 +6,7 @@ length h, the scheme gives at point i and at the interval's end
     xi'(c_i) = xi'_k + h sum_j A1_ij y_j                    xi'_(k+1) = xi'_k + h sum_j b1_j y_j
     xi(c_i)  = xi_k + h c_i xi'_k + h^2 sum_j A2_ij y_j     xi_(k+1)  = xi_k + h xi'_k + h^2 sum_j b2_j y_j
 
-and if ``y`` is the third derivative, A1, A2, A3 give xi'', xi', xi in the same way, with Taylor's terms of the start.
+and if ``y`` is the third derivative, A1, A2, A3 give xi'', xi', xi in the same way.
 
 Gauss-Legendre and Radau IIA are collocation of the acceleration: A1 and A2 are the integrals and
 double integrals of the Lagrange polynomials through the points (de Boor and Swartz, "Collocation
@@ -100,8 +100,9 @@ class Scheme:
     def lower_at(self, fraction: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Weights (s,) of the integrals of y, over h, h^2 and h^3, at a fraction of the interval.
 
-        The first two are those of the interpolant of solution files: the integrals of the Lagrange polynomials, plus a
-        cubic that closes the gap to the next node for schemes that have one (classic, semi-implicit Euler).
+        The first two are those of the interpolant of solution files: the integrals of the Lagrange
+        polynomials, plus a cubic that closes the gap to the next node for schemes that have one (classic,
+        semi-implicit Euler).
         """
         first, second, third = (_values(bases, np.array([fraction]))[0] for bases in self._lagrange[1:])
         ramp = fraction**2 * (3 - 2 * fraction)

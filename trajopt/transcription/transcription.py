@@ -417,7 +417,11 @@ def transcribe(
                 f"transcription '{method.name}' states the balance of a velocity source twice at every node",
                 "allowed for a free base: schemes without a point at the start, such as legendre or radau",
             )
-        if problem.actuation == "jerk" and problem.robot.base != "fixed" and (method.s < 2 or method.c[-1] < 1):
+        if (
+            problem.actuation == "jerk"
+            and problem.robot.base != "fixed"
+            and (method.s < 2 or method.c[-1] < 1)
+        ):
             raise InputError(
                 f"transcription '{method.name}' has {method.s} points, none at the end, and jerks are the input",
                 "allowed with a moving base: radau:2 to radau:4",
