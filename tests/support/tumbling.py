@@ -81,7 +81,8 @@ class Interval:
         end_xi = xi + h * dxi + h**2 * ca.mtimes(y, ca.DM(method.b2))
         end_dxi = dxi + h * ca.mtimes(y, ca.DM(method.b1))
         turning = c.rotation_index.tolist()
-        turned, omega = c.next_rotations(rotations, end_xi[turning], end_dxi[turning])
+        still = 0 * end_dxi[turning]
+        turned, omega, _ = c.next_rotations(rotations, end_xi[turning], end_dxi[turning], still)
         end_dxi[turning] = omega
         additive = end_xi[c.additive_index.tolist()]
         self.end = ca.Function("end", [node, h, y], [ca.vertcat(turned, additive, end_dxi)])

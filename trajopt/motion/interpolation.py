@@ -42,7 +42,7 @@ class MotionPolynomials:
     """Polynomials of n intervals with s points each over the interval's fraction, lowest power first.
 
     numbers: (n,) of the intervals. start: (n, nq) initial configurations. rate: (n, nv) initial local rates.
-    step: (n,) s. order: 2, or 1 for velocity input, or 3 for jerks. highest: (n, s, nv) of the first or second
+    step: (n,) s. order: 2, 1 for velocity input, 3 for jerks. highest: (n, s, nv) of the first or second
     derivative, tau: (n, s, nu), f: (n, s, 6 nc) coefficients. With jerks, accelerations and torques are known
     at nodes as well, so that these have more coefficients. gap: (n, 2, nv) gaps of positions and rates at the
     ends.

@@ -30,9 +30,10 @@ class Context(Parameters):
     At a collocation point the inputs ``z`` are (rotations, xi and its derivatives, wrenches, time scale); at
     a node they are its variables; at an impact (rotations, xi, rates before, jump of the rates, impulses,
     time scale). Entries that a problem lacks (the time scale of a fixed duration, xi'' of a velocity source,
-    the third derivative unless jerks are the input) are left out. ``xi`` (nv) are local coordinates (see `trajopt.dynamics.manifold`), ``dxi``, ``ddxi`` their
-    derivatives in true time; ``q``, ``v``, ``a`` are Pinocchio's. Wrenches act on the robot, in world axes at
-    the contact frame's origin, N and N m (impulses N s and N m s).
+    the third derivative unless jerks are the input) are left out. ``xi`` (nv) are local coordinates (see
+    `trajopt.dynamics.manifold`), ``dxi``, ``ddxi``, ``dddxi`` their derivatives in true time; ``q``, ``v``,
+    ``a`` are Pinocchio's. Wrenches act on the robot, in world axes at the contact frame's origin, N and N m
+    (impulses N s and N m s).
 
     Args:
         robot: the robot, in the coordinates used here.

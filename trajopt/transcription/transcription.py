@@ -22,6 +22,7 @@ from trajopt.transcription.collocation import Collocation
 from trajopt.transcription.layout import Layout
 from trajopt.transcription.mesh import Mesh
 from trajopt.transcription.row_collection import LinearRows, RowCollection, RowInfo, over_unknowns
+from trajopt.transcription.schemes import Scheme
 from trajopt.transcription.sparse_maps import SparseMatrix
 from trajopt.transcription.stage_functions import PointFunction
 from trajopt.transcription.term_functions import StageTerms, TermFunctions
@@ -417,16 +418,24 @@ def transcribe(
                 f"transcription '{method.name}' states the balance of a velocity source twice at every node",
                 "allowed for a free base: schemes without a point at the start, such as legendre or radau",
             )
-        if (
-            problem.actuation == "jerk"
-            and problem.robot.base != "fixed"
-            and (method.s < 2 or method.c[-1] < 1)
-        ):
-            raise InputError(
-                f"transcription '{method.name}' has {method.s} points, none at the end, and jerks are the input",
-                "allowed with a moving base: radau:2 to radau:4",
-            )
+        if problem.actuation == "jerk":
+            _require_points(problem, method)
     return Transcriber(problem, chosen).build()
+
+
+def _require_points(problem: Problem, method: Scheme) -> None:
+    """Raise `InputError` for a scheme that does not determine a motion whose input is the jerk.
+
+    Rows at points alone leave the state at nodes free: with contacts, their accelerations would ring. Forces
+    through one point would be constant in a phase.
+    """
+    moving = problem.robot.base != "fixed"
+    if method.A3 is None or (moving and (method.s < 2 or method.c[-1] < 1)):
+        allowed = "radau:2 to radau:4" if moving else "legendre:1 to legendre:4, radau:1 to radau:4"
+        raise InputError(
+            f"transcription '{method.name}' of problem '{problem.name}', whose input is the jerk",
+            f"allowed{' with a moving base' if moving else ''}: {allowed}",
+        )
 
 
 def chosen_mesh(

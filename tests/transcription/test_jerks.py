@@ -1,0 +1,207 @@
+"""Jerks as the input: accelerations are continuous, and jerks are within limits at any time."""
+
+import math
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import trajopt
+from tests.support.refusals import refused_calls
+from trajopt import InputError, Phase, Problem, Robot, Schedule, Solution, terms
+from trajopt.motion.solution import Solution as Motion
+from trajopt.robot import JointLimits
+from trajopt.solving.extraction import extract
+from trajopt.solving.solving import prepare
+from trajopt.solving.warm_start import warm_start
+from trajopt.terms import AccelerationLimits, JerkCost, JerkLimits
+from trajopt.transcription import transcribe
+
+# m, m/s^3, m/s^2, m/s of the closed forms.
+WAY, JERK, ACCELERATION, SPEED = 1.0, 10.0, 2.0, 0.8
+# s; that of most arms' interfaces.
+TICK = 1e-3
+ROUNDING = 1e-6
+
+
+def slider(**limits: float) -> Robot:
+    """A mass of 1 kg on a rail."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "rail")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3)), pin.SE3.Identity())
+    robot = Robot.from_model(model, name="slider", base="fixed")
+    return robot.with_joint_limits([JointLimits(joint="rail", **limits)])
+
+
+def least_time(robot: Robot, speed: float = np.inf, actuation: str = "jerk", **changes: object) -> Problem:
+    """From rest to rest over `WAY` in least time."""
+    limits = (AccelerationLimits(), terms.VelocityLimits(), *([JerkLimits()] if actuation == "jerk" else []))
+    goal = np.array([WAY])
+    given = {
+        "name": "slide",
+        "robot": replace(robot, velocity_limit=np.array([speed])),
+        "schedule": Schedule((Phase(name="go", duration=2.0, duration_bounds=(0.1, 10.0)),)),
+        "terms": (
+            terms.TimeCost(weight=1.0),
+            *limits,
+            terms.TerminalState(q=goal),
+            terms.TerminalRest(q=goal),
+        ),
+        "actuation": actuation,
+        "default_intervals": 40,
+        "default_transcription": "legendre:1",
+    }
+    return Problem(**(given | changes))
+
+
+def fastest(jerk: float, acceleration: float, speed: float) -> float:
+    """Least duration in s from rest to rest over `WAY`: a double or triple integrator in closed form."""
+    ramp = acceleration / jerk
+    if (
+        not math.isfinite(acceleration)
+        or jerk * (2 * WAY / jerk) ** (1 / 3) / 2 ** (2 / 3) < acceleration * 0.99
+    ):
+        return (32 * WAY / jerk) ** (1 / 3)
+    duration = ramp + math.sqrt(ramp**2 + 4 * WAY / acceleration)
+    if acceleration * (duration / 2 - ramp) <= speed:
+        return duration
+    return WAY / speed + speed / acceleration + ramp
+
+
+@pytest.mark.parametrize(
+    ("jerk", "acceleration", "speed", "share"),
+    [
+        (JERK, np.inf, np.inf, 1e-6),
+        (JERK, ACCELERATION, np.inf, 1e-3),
+        (JERK, ACCELERATION, SPEED, 2e-3),
+    ],
+)
+def test_a_triple_integrator_takes_its_least_time(jerk, acceleration, speed, share):
+    solution = trajopt.solve(least_time(slider(acceleration=acceleration, jerk=jerk), speed))
+    assert solution.converged, solution.statistics.advice
+    assert solution.t[-1] == pytest.approx(fastest(jerk, acceleration, speed), rel=share)
+    assert solution.t[-1] > fastest(jerk, acceleration, speed) * (1 - 1e-6)
+    assert trajopt.check(solution).within()
+
+
+def test_a_double_integrator_takes_its_least_time():
+    problem = least_time(slider(acceleration=ACCELERATION), actuation="acceleration")
+    solution = trajopt.solve(problem)
+    assert solution.converged, solution.statistics.advice
+    assert solution.t[-1] == pytest.approx(2 * math.sqrt(WAY / ACCELERATION), rel=1e-5)
+
+
+@lru_cache
+def transfer(robot: str) -> Solution:
+    return trajopt.solve(trajopt.load("arm-transfer", robot=robot, actuation="jerk"))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["panda", "xarm7"])
+def test_an_arm_keeps_its_limits_of_acceleration_and_jerk_at_every_tick(name):
+    solution, robot = transfer(name), trajopt.robot(name)
+    assert solution.converged, solution.statistics.advice
+    assert trajopt.check(solution).within()
+    sampled = solution.sample(times=np.arange(0.0, solution.t[-1], TICK))
+    assert (np.abs(sampled.a) <= robot.joint_limit("acceleration") * (1 + 1e-4)).all()
+    assert (np.abs(np.diff(sampled.a, axis=0)) <= TICK * robot.joint_limit("jerk") * (1 + 1e-4)).all()
+    assert np.abs(solution.a[[0, -1]]).max() < ROUNDING
+    used = np.abs(sampled.a) / robot.joint_limit("acceleration")
+    jerks = np.abs(np.diff(sampled.a, axis=0)) / (TICK * robot.joint_limit("jerk"))
+    assert max(used.max(), jerks.max()) > 0.9  # a limit binds
+
+
+@pytest.mark.long
+def test_accelerations_and_torques_are_continuous_where_phases_of_free_duration_meet():
+    solution = trajopt.solve(
+        trajopt.load("arm-pick-place", robot="ur5", actuation="jerk", goal="time", payload=0)
+    )
+    assert solution.converged, solution.statistics.advice
+    starts = np.flatnonzero(np.diff(solution.interval)) + 1
+    np.testing.assert_allclose(solution.a[starts], solution.a[starts - 1], atol=1e-5)
+    np.testing.assert_allclose(solution.tau[starts], solution.tau[starts - 1], atol=1e-4)
+
+
+def test_torques_are_those_of_inverse_dynamics_at_points_and_nodes():
+    solution = transfer("panda")
+    data = solution.model.createData()
+    needed = [
+        pin.rnea(solution.model, data, *state)
+        for state in zip(solution.q, solution.v, solution.a, strict=True)
+    ]
+    np.testing.assert_allclose(solution.tau, needed, atol=1e-9)
+
+
+def test_a_warm_start_on_the_same_mesh_is_the_solution():
+    solution = transfer("panda")
+    problem = trajopt.load("arm-transfer", robot="panda", actuation="jerk")
+    transcription = transcribe(problem, mesh=solution.statistics.mesh)
+    again = extract(transcription, warm_start(transcription, solution).x)
+    for name in ("t", "q", "v", "a", "tau"):
+        np.testing.assert_allclose(getattr(again, name), getattr(solution, name), atol=1e-7, err_msg=name)
+
+
+def test_a_file_keeps_the_motion(tmp_path):
+    solution = transfer("panda")
+    read = Motion.load(solution.save(tmp_path / "panda.npz"))
+    times = np.linspace(0.0, solution.t[-1], 300)
+    np.testing.assert_array_equal(read.sample(times=times).a, solution.sample(times=times).a)
+    assert trajopt.check(read).to_dict() == trajopt.check(solution).to_dict()
+
+
+@lru_cache
+def squat() -> Solution:
+    return trajopt.solve(with_jerks(trajopt.load("biped-squat", robot="g1")))
+
+
+def with_jerks(problem: Problem) -> Problem:
+    jerks = JerkCost(weight=1e-4)
+    return replace(problem, actuation="jerk", terms=(*problem.terms, jerks), default_transcription="radau:3")
+
+
+@pytest.mark.long
+def test_forces_of_contacts_are_continuous_within_phases():
+    solution = squat()
+    assert solution.converged, solution.statistics.advice
+    assert trajopt.check(solution).within()
+    starts = np.flatnonzero(np.diff(solution.interval)) + 1
+    weight = 9.81 * sum(inertia.mass for inertia in solution.model.inertias)
+    for name, most in (("a", 1e-4), ("f", 1e-6 * weight), ("tau", 1e-2)):
+        values = getattr(solution, name)
+        np.testing.assert_allclose(values[starts], values[starts - 1], atol=most, err_msg=name)
+    assert np.abs(solution.a[[0, -1]]).max() < 1e-5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("robot", ["go2", "solo12"])
+def test_a_leap_lifts_off_and_lands_without_a_jump_of_the_acceleration(robot):
+    solution = trajopt.solve(with_jerks(trajopt.load("quadruped-jump-forward", robot=robot)))
+    assert solution.converged, solution.statistics.advice
+    assert trajopt.check(solution).within()
+    starts = np.flatnonzero(np.diff(solution.interval)) + 1
+    np.testing.assert_allclose(solution.a[starts], solution.a[starts - 1], atol=1e-3)
+
+
+REACH = trajopt.load("arm-reach", robot="ur5")
+JUMP = trajopt.load("quadruped-jump-up", robot="solo12")
+test_what_jerks_do_not_model_is_refused_in_one_line = refused_calls(
+    (lambda: prepare(replace(REACH, terms=(*REACH.terms, JerkCost(weight=1.0)))), "actuation 'torque'"),
+    (lambda: transcribe(replace(REACH, actuation="jerk"), "hermite-simpson"), "allowed: legendre:1"),
+    (lambda: transcribe(replace(JUMP, actuation="jerk"), "legendre:2"), "radau:2"),
+    (lambda: transcribe(replace(JUMP, actuation="jerk"), "radau:1"), "radau:2"),
+    (lambda: trajopt.robot("ur5").with_joint_limits([JointLimits(joint="elbow", jerk=1.0)]), "elbow"),
+    (lambda: JointLimits(joint="elbow_joint", jerk=0.0), "jerk"),
+    (lambda: JerkLimits(limit=[-1.0]), "limit"),
+    (
+        lambda: prepare(replace(REACH, actuation="jerk", terms=(*REACH.terms, JerkLimits(limit=[1.0])))),
+        "shape",
+    ),
+)
+
+
+def test_an_impact_is_refused():
+    problem = trajopt.load("hopper-hop", touchdown="impact")
+    with pytest.raises(InputError, match="begins with an impact"):
+        replace(problem, actuation="jerk")
