@@ -119,9 +119,8 @@ def test_accelerations_and_torques_are_continuous_where_phases_of_free_duration_
         trajopt.load("arm-pick-place", robot="ur5", actuation="jerk", goal="time", payload=0)
     )
     assert solution.converged, solution.statistics.advice
-    starts = np.flatnonzero(np.diff(solution.interval)) + 1
-    np.testing.assert_allclose(solution.a[starts], solution.a[starts - 1], atol=1e-5)
-    np.testing.assert_allclose(solution.tau[starts], solution.tau[starts - 1], atol=1e-4)
+    assert jumps(solution, "a") < 1e-4
+    assert jumps(solution, "tau") < 1e-3
 
 
 def test_torques_are_those_of_inverse_dynamics_at_points_and_nodes():
@@ -156,6 +155,14 @@ def squat() -> Solution:
     return trajopt.solve(with_jerks(trajopt.load("biped-squat", robot="g1")))
 
 
+def jumps(solution: Solution, name: str) -> float:
+    """Largest jump of an array between the polynomials of intervals that meet."""
+    before = np.arange(solution.n_intervals - 1)
+    ends = solution.polynomials.at(before, np.ones(len(before)))
+    starts = solution.polynomials.at(before + 1, np.zeros(len(before)))
+    return float(np.abs(getattr(ends, name) - getattr(starts, name)).max())
+
+
 def with_jerks(problem: Problem) -> Problem:
     jerks = JerkCost(weight=1e-4)
     return replace(problem, actuation="jerk", terms=(*problem.terms, jerks), default_transcription="radau:3")
@@ -166,11 +173,9 @@ def test_forces_of_contacts_are_continuous_within_phases():
     solution = squat()
     assert solution.converged, solution.statistics.advice
     assert trajopt.check(solution).within()
-    starts = np.flatnonzero(np.diff(solution.interval)) + 1
     weight = 9.81 * sum(inertia.mass for inertia in solution.model.inertias)
-    for name, most in (("a", 1e-4), ("f", 1e-6 * weight), ("tau", 1e-2)):
-        values = getattr(solution, name)
-        np.testing.assert_allclose(values[starts], values[starts - 1], atol=most, err_msg=name)
+    for name, most in (("a", 1e-3), ("f", 1e-5 * weight), ("tau", 1e-3)):
+        assert jumps(solution, name) < most
     assert np.abs(solution.a[[0, -1]]).max() < 1e-5
 
 
@@ -180,8 +185,7 @@ def test_a_leap_lifts_off_and_lands_without_a_jump_of_the_acceleration(robot):
     solution = trajopt.solve(with_jerks(trajopt.load("quadruped-jump-forward", robot=robot)))
     assert solution.converged, solution.statistics.advice
     assert trajopt.check(solution).within()
-    starts = np.flatnonzero(np.diff(solution.interval)) + 1
-    np.testing.assert_allclose(solution.a[starts], solution.a[starts - 1], atol=1e-3)
+    assert jumps(solution, "a") < 1e-2
 
 
 REACH = trajopt.load("arm-reach", robot="ur5")
