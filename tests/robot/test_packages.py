@@ -68,6 +68,7 @@ def test_a_robot_of_menagerie_is_read_from_the_cache(cached: Path) -> None:
     assert robots.kind("menagerie:unitree_go1") == "quadruped"
 
 
+@pytest.mark.long
 def test_the_command_shows_and_writes_robots_of_packages(cached: Path, tmp_path: Path) -> None:
     mine = tmp_path / "mine.py"
     assert invoke("robot", "menagerie:unitree_go1", "--write", mine).stdout.startswith(
