@@ -246,36 +246,29 @@ def test_without_a_keyframe_bodies_start_where_the_file_has_them(tmp_path: Path)
     assert_allclose(Robot.from_mjcf(written(tmp_path, text)).reference, [1, 2, 3, 0, 0.8, 0, 0.6, 0.7])
     path = written(tmp_path, QUADRUPED.split("<keyframe>")[0] + "</mujoco>")
     assert_allclose(Robot.from_mjcf(path).reference[:7], [0, 0, 0.45, 0, 0, 0, 1])
-    knee = 0.2 * np.cos(np.radians(20))  # at its limit
-    assert Robot.from_mjcf(path, contacts=FEET).reference[2] == pytest.approx(0.2 + knee)
-
-
-ROOT = """<joint name="r1" type="slide" axis="{}"/><joint name="r2" type="slide" axis="{}"/>
-<joint name="r3" axis="{}"/>"""
+    standing = 0.2 + 0.2 * np.cos(np.radians(20))  # knees at their limits
+    assert Robot.from_mjcf(path, contacts=FEET).reference[2] == pytest.approx(standing)
 
 
 @pytest.mark.parametrize(
     ("axes", "told"),
     [
-        (("1 0 0", "0 1 0", "0 0 1"), "r1 along x, r2 along y, r3 about z"),
-        (("0 0 1", "-1 0 0", "0 -1 0"), "r1 along z, r2 along -x, r3 about -y"),
-        (("0.6 0.8 0", "0 0 1", "0.8 -0.6 0"), "r1 along (0.6, 0.8, 0), r2 along z, r3 about (0.8, -0.6, 0)"),
+        (("1 0 0", "0 1 0", "0 0 1"), "j0 along x, j1 along y, j2 about z"),
+        (("0 0 1", "0.6 0.8 0", "-0.8 0.6 0"), "j0 along z, j1 along (0.6, 0.8, 0), j2 about (-0.8, 0.6, 0)"),
         (("1 0 0", "0 1 0", "0 1 0"), ""),
-        (("1 0 0", "0.6 0.8 0", "0 0 1"), ""),
     ],
 )
 def test_a_planar_root_of_the_file_is_told_and_gets_no_other_base(axes, told: str, tmp_path: Path):
-    text = arm(first=ROOT.format(*axes)).replace(' euler="0.2 0.1 0.3"', "")
-    path = written(tmp_path, text)
-    robot = Robot.from_mjcf(path)
-    assert (robot.base, robot.nv) == ("fixed", 4)
-    notes = [note for note in robot_report(robot).notes if "planar root" in note]
-    if not told:
+    kinds = zip(axes, ("slide", "slide", "hinge"), strict=True)
+    joints = (f'<joint name="j{i}" type="{kind}" axis="{axis}"/>' for i, (axis, kind) in enumerate(kinds))
+    path = written(tmp_path, arm(first="".join(joints)).replace(' euler="0.2 0.1 0.3"', ""))
+    notes = [note for note in robot_report(Robot.from_mjcf(path)).notes if "planar root" in note]
+    if told:
+        assert told in notes[0]
+        with refused(re.escape(f"has a planar root ({told}) of its own, base='planar' contradicts it")):
+            Robot.from_mjcf(path, base="planar")
+    else:
         assert (notes, Robot.from_mjcf(path, base="planar").nv) == ([], 7)
-        return
-    assert told in notes[0]
-    with refused(re.escape(f"has a planar root ({told}) of its own, base='planar' contradicts it; 'fixed'")):
-        Robot.from_mjcf(path, base="planar")
 
 
 @pytest.mark.parametrize(
