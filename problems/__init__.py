@@ -55,6 +55,11 @@ def robot_kind(name: str) -> str:
     return robots.kind(name)
 
 
+def robot_names() -> dict[str, tuple[str, ...]]:
+    """Names of all robots by kind, and of those of installed packages."""
+    return robots.by_group()
+
+
 def robot(name: str) -> Robot:
     """The robot of that name or file. Raises `InputError` for an unknown one."""
     return robots.load(name)

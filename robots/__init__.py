@@ -1,14 +1,18 @@
 """Robots by name: a file for each, with its ``KIND``, ``build() -> Robot`` and, for an arm, its ``TOOL``."""
 
+import contextlib
 import importlib
 import importlib.util
 import pkgutil
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
 
 from trajopt.errors import InputError, TrajoptError, failure, line_in, not_among, placed, shown
 from trajopt.robot import Robot, feet_in_base
+from trajopt.robot.catalogue import is_packaged
+from trajopt_library.robots._packages import PACKAGES, packaged_as, packaged_file, packaged_names
 
 KINDS = ("arm", "quadruped", "biped", "hopper", "pendulum", "multirotor")
 # Kind of a robot with a free base by the number of its feet.
@@ -29,10 +33,20 @@ def names(kind: str | None = None) -> tuple[str, ...]:
     return tuple(name for name in found if kind is None or kind == _module(name).KIND)
 
 
+def by_group() -> dict[str, tuple[str, ...]]:
+    """Return the names of all robots by kind, then those of installed packages under ``PACKAGE:NAME``."""
+    groups = {kind: names(kind) for kind in KINDS}
+    for package in PACKAGES:
+        with contextlib.suppress(InputError):  # not installed
+            groups[f"{package}:NAME"] = packaged_names(package)
+    return groups
+
+
 def load(name: str | Robot) -> Robot:
     """Return the robot of that name, or the one that ``build()`` of a .py file at that path returns.
 
     A robot is returned as it is. ``NAME:rolling`` is the robot with all contacts that have a radius rolling.
+    ``PACKAGE:NAME`` is guessed from a description of another package, see `_packages`.
     Raises `InputError` for a name that is unknown (and lists the known ones), for a file that does not exist,
     cannot be read or does not build a `Robot`, and for ``:rolling`` of a robot without balls.
     """
@@ -40,6 +54,9 @@ def load(name: str | Robot) -> Robot:
         return name
     if name.endswith(ROLLING):
         return load(name.removesuffix(ROLLING)).with_rolling_contacts()
+    if is_packaged(name):
+        file = packaged_file(name)
+        return _guessed(file, name.partition(":")[2], file.stat().st_mtime_ns)
     module = _module(name)
     try:
         robot = module.build()
@@ -104,7 +121,9 @@ def feet(robot: Robot) -> tuple[str, ...]:
 
 def _stated(name: str | Robot, what: str) -> object:
     """Return a name that a robot's module defines, or None."""
-    return None if isinstance(name, Robot) else getattr(_module(name), what, None)
+    if isinstance(name, Robot) or is_packaged(name.removesuffix(ROLLING)):
+        return None
+    return getattr(_module(name), what, None)
 
 
 def _module(name: str) -> ModuleType:
@@ -118,8 +137,19 @@ def _module(name: str) -> ModuleType:
         made = f"a .py file with build(): trajopt robot {name} --write FILE.py makes one"
         raise InputError(f"'{name}' is a description, not a robot", made)
     if name not in names():
-        raise not_among((*names(), OWN_FILE), name, f"robot '{name}' is unknown")
+        if elsewhere := packaged_as(name):
+            raise InputError(f"robot '{name}' is unknown", f"did you mean {' or '.join(elsewhere)}?")
+        allowed = (*names(), *(f"{package}:NAME" for package in PACKAGES), OWN_FILE)
+        raise not_among(allowed, name, f"robot '{name}' is unknown")
     return importlib.import_module(f"{__name__}.{name}")
+
+
+@lru_cache(maxsize=16)
+def _guessed(path: Path, name: str, _changed: int) -> Robot:
+    """Return the robot of a description with guessed feet and posture, once for each version of the file."""
+    from trajopt.inspection.starter import guessed  # slow to import
+
+    return replace(guessed(path), name=name)
 
 
 @lru_cache(maxsize=16)

@@ -49,8 +49,9 @@ def not_among(known: Iterable[str], name: str, what: str) -> InputError:
         what: Beginning of the message.
     """
     names = list(known)
-    folded = {str(each).casefold(): each for each in names}
-    close = [folded[each] for each in difflib.get_close_matches(str(name).casefold(), folded, FEW_NAMES)]
+    folded, given = {str(each).casefold(): each for each in names}, str(name).casefold()
+    close = [folded[each] for each in difflib.get_close_matches(given, folded, FEW_NAMES)]
+    close = close or [each for key, each in folded.items() if given and given in key][:FEW_NAMES]
     hint = f"did you mean {close[0]}? " if close else ""
     listed = names if len(names) <= MOST_NAMES else [*(close or names[:FEW_NAMES]), "..."]
     return InputError(what, f"{hint}allowed: {', '.join(listed) or 'none'}")

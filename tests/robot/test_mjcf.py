@@ -1,5 +1,6 @@
 """MJCF: poses, masses and dynamics as MuJoCo compiles them; actuators, keyframes, constraints, shapes."""
 
+import re
 from pathlib import Path
 
 import coal
@@ -222,7 +223,7 @@ def test_keyframe_is_the_reference_and_stands_on_its_contacts(tmp_path: Path):
         heights = [placement(robot.model, robot.reference, foot).translation[2] for foot in FEET]
         assert_allclose(heights, 0, atol=ROUNDING)
     named = Robot.from_mjcf(path, reference={"FL_calf": -1.0})
-    assert_array_equal(named.reference[7:], [0, 0.8, -1.0, *[0, 0.8, -1.6] * 3])
+    assert_array_equal(named.reference[2:], [0.28, 0, 0, 0, 1, 0, 0.8, -1.0, *[0, 0.8, -1.6] * 3])
 
 
 def test_keyframe_turns_quaternions_and_goes_before_others_if_it_is_called_home(tmp_path: Path):
@@ -237,6 +238,37 @@ def test_keyframe_beyond_the_limits_leaves_neutral(tmp_path: Path):
     text = QUADRUPED.replace("0 0.8 -1.6", "0 0.8 -0.1")
     robot = Robot.from_mjcf(written(tmp_path, text))
     assert_allclose(robot.reference[7:], [0, 0, np.radians(-20)] * 4)
+
+
+def test_without_a_keyframe_bodies_start_where_the_file_has_them(tmp_path: Path):
+    placed, turned = 'pos="0.1 0 0.2" euler="0.2 0.1 0.3"', 'pos="1 2 3" quat="0.6 0 0.8 0"'
+    text = arm(first="<freejoint/>", second='<joint axis="0 1 0" ref="0.7"/>').replace(placed, turned)
+    assert_allclose(Robot.from_mjcf(written(tmp_path, text)).reference, [1, 2, 3, 0, 0.8, 0, 0.6, 0.7])
+    path = written(tmp_path, QUADRUPED.split("<keyframe>")[0] + "</mujoco>")
+    assert_allclose(Robot.from_mjcf(path).reference[:7], [0, 0, 0.45, 0, 0, 0, 1])
+    standing = 0.2 + 0.2 * np.cos(np.radians(20))  # knees at their limits
+    assert Robot.from_mjcf(path, contacts=FEET).reference[2] == pytest.approx(standing)
+
+
+@pytest.mark.parametrize(
+    ("axes", "told"),
+    [
+        (("1 0 0", "0 1 0", "0 0 1"), "j0 along x, j1 along y, j2 about z"),
+        (("0 0 1", "0.6 0.8 0", "-0.8 0.6 0"), "j0 along z, j1 along (0.6, 0.8, 0), j2 about (-0.8, 0.6, 0)"),
+        (("1 0 0", "0 1 0", "0 1 0"), ""),
+    ],
+)
+def test_a_planar_root_of_the_file_is_told_and_gets_no_other_base(axes, told: str, tmp_path: Path):
+    kinds = zip(axes, ("slide", "slide", "hinge"), strict=True)
+    joints = (f'<joint name="j{i}" type="{kind}" axis="{axis}"/>' for i, (axis, kind) in enumerate(kinds))
+    path = written(tmp_path, arm(first="".join(joints)).replace(' euler="0.2 0.1 0.3"', ""))
+    notes = [note for note in robot_report(Robot.from_mjcf(path)).notes if "planar root" in note]
+    if told:
+        assert told in notes[0]
+        with refused(re.escape(f"has a planar root ({told}) of its own, base='planar' contradicts it")):
+            Robot.from_mjcf(path, base="planar")
+    else:
+        assert (notes, Robot.from_mjcf(path, base="planar").nv) == ([], 7)
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """Simulations with controllers of one's own: what they are given, and what is refused."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import trajopt
+from tests.support.command_lines import assert_refused, invoke
 from trajopt import Solution
 from trajopt.control import Tracker, TrackerGains
 from trajopt.errors import InputError
@@ -135,3 +137,32 @@ def test_a_tracker_of_other_ticks_or_another_plan_is_refused(reach: Solution) ->
 
 def test_what_has_a_torque_is_a_controller(reach: Solution) -> None:
     assert isinstance(Springs(reach), TorqueController)
+
+
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [
+        ("return np.zeros(6)", "not tracked"),
+        ("return q[9]", "mine.py, line 6: IndexError"),
+        ("pass\ndel build", "has no build(); def build(plan)"),
+    ],
+)
+def test_the_command_asks_a_controller_from_a_file(reach: Solution, body: str, said: str, tmp_path: Path):
+    plan, mine = reach.save(tmp_path / "reach.npz"), tmp_path / "mine.py"
+    head = "import numpy as np\ndef build(plan):\n    return Still()\nclass Still:\n"
+    mine.write_text(f"{head}    def torque(self, t, q, v, touching):\n        {body}")
+    done = invoke("simulate", plan, "--controller", mine, "--control-rate", RATE)
+    assert said in done.stdout if done.exit_code == 1 else assert_refused(done, said) is None
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("export", "--quaternion", "wxyz"), "allowed: for a robot whose base moves"),
+        (("export", "--base-velocity", "body"), "--base-velocity has no effect on"),
+        (("simulate", "--friction-scale", 0.5), "'ur5', which touches nothing; allowed: for motions with"),
+        (("simulate", "--controller", "none.py"), "none.py does not exist"),
+    ],
+)
+def test_options_without_effect_are_refused(reach: Solution, words: tuple, said: str, tmp_path: Path):
+    assert_refused(invoke(words[0], reach.save(tmp_path / "reach.npz"), *words[1:]), said)

@@ -9,24 +9,38 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
+import trajopt
 from tests.support.problems import REACH, REACH_TIME, hop, one_joint_arm, reach
-from trajopt import InputError, Phase, Schedule
+from trajopt import Contact, InputError, Phase, Problem, Schedule, check
 from trajopt.certify.accuracy import measure
 from trajopt.certify.report import GRADE
+from trajopt.collision import BoxObstacle
+from trajopt.collision.shapes import SphereObstacle
 from trajopt.motion.grid import mesh_of
-from trajopt.robot import Units
+from trajopt.robot import Payload, Units, frame_pose, inverse_kinematics
 from trajopt.solving import refinement, solve_graded
 from trajopt.solving.exchange import Exchange
-from trajopt.solving.graded import tolerance_for
-from trajopt.solving.refinement import PATIENCE, Refinement, _balanced
+from trajopt.solving.graded import FIRST_SCHEME, tolerance_for
+from trajopt.solving.refinement import CALM_SCHEME, PATIENCE, USUAL_SCHEME, Refinement, _balanced
 from trajopt.solving.remeshing import MOST_PARTS, PhaseErrors, remeshed
 from trajopt.solving.rounds import phase_errors
 from trajopt.solving.solving import solve
-from trajopt.terms import AccelerationCost, PositionLimits, PostureCost, TorqueLimits, VelocityLimits
+from trajopt.terms import (
+    AccelerationCost,
+    Clearance,
+    FramePose,
+    PositionLimits,
+    PostureCost,
+    TerminalRest,
+    TimeCost,
+    TorqueLimits,
+    VelocityLimits,
+)
 from trajopt.transcription.mesh import Mesh, PhaseMesh
 from trajopt.transcription.schemes import scheme
 from trajopt.transcription.transcription import chosen_mesh
 from trajopt_library import problems
+from trajopt_library.robots.ur5 import TOOL
 
 pytestmark = pytest.mark.long
 
@@ -34,6 +48,10 @@ pytestmark = pytest.mark.long
 SIZES = (10, 8)
 # Of sums of widths.
 ROUNDING = 1e-9
+# Largest variation of a least-time torque, limits a second, and the share of time that degree one may cost.
+CALM_RATE, LOST_TIME = 15.0, 5e-3
+# Least time of the UR5's carry at the degrees two to four, s, where its torques ring by 162 limits a second.
+CARRY_TIME = 0.5420
 # Part of a uniform mesh's variables that refinement needs at most.
 FEWER = 0.6
 
@@ -53,6 +71,36 @@ def test_error_constant_is_that_of_the_quadrature(name):
     # The derivative of exp is between 1 and exp(h) in the interval.
     assert expected <= quadrature_error(name, h, rate) * (1 + 1e-3)
     assert quadrature_error(name, h, rate) <= expected * np.exp(rate * h) * (1 + 1e-3)
+
+
+def carried_past_bodies() -> Problem:
+    """A UR5 carries 3 kg past a box and a ball, within four fifths of its torques."""
+    loaded = trajopt.robot("ur5")
+    robot = replace(loaded, contacts=(Contact(frame=TOOL, name="tool"),))
+    turned = frame_pose(robot, robot.reference, TOOL).rotation
+    places = [
+        pin.SE3(pin.rpy.rpyToMatrix(0, 0, a) @ turned, np.array([0.55 * np.cos(a), 0.55 * np.sin(a), 0.35]))
+        for a in (-0.8, 0.8)
+    ]
+    near = np.array([-0.8, *robot.reference[1:]])
+    start = inverse_kinematics(robot, near, {TOOL: places[0]}).q
+    box = BoxObstacle(name="box", sides=[0.2, 0.1, 0.4], position=[0.6, -0.15, 0.2])
+    ball = SphereObstacle(name="ball", centre=[0.55, 0.25, 0.4], radius=0.1)
+    body = Payload(contact="tool", mass=3.0, centre=np.array([0, 0, 0.05]), inertia=np.eye(3) * 0.005)
+    return Problem(
+        name="ur5-carry",
+        robot=robot,
+        schedule=Schedule((Phase(name="carry", duration=1.2, duration_bounds=(0.1, 5.0)),)),
+        initial_q=start,
+        payloads={"carry": body},
+        terms=(
+            *(TimeCost(weight=1.0), AccelerationCost(weight=1e-4)),
+            *(TorqueLimits(limit=0.8 * robot.torque_limit), VelocityLimits(), PositionLimits()),
+            Clearance(obstacles=(box, ball), margin=0.02),
+            FramePose(frame=TOOL, position=places[1].translation, rotation=places[1].rotation),
+            TerminalRest(),
+        ),
+    )
 
 
 def modelled(name, widths, rate):
@@ -216,6 +264,33 @@ def test_problem_without_a_solution_is_told_as_such():
     assert not found.solution.success
     assert found.why == "a mesh was not solved: iteration limit"
     assert found.to_dict()["error_m"] is None
+
+
+def test_torques_that_ring_along_rate_limits_are_solved_at_degree_one():
+    given = problems.load("arm-transfer", robot="panda", goal="time")
+    rings = replace(given, default_transcription=USUAL_SCHEME, default_intervals=30)
+    found = solve_graded(rings)
+    first, last = found.rounds[0].mesh, found.solution
+    assert first.transcription == FIRST_SCHEME
+    assert last.success
+    assert last.statistics.transcription == CALM_SCHEME
+    rough = check(solve(rings, mesh=Mesh.uniform(FIRST_SCHEME, (20,)), judge=False))
+    assert rough.chatter
+    assert found.report.chatter == ""
+    assert found.report.torque_variation < CALM_RATE * last.t[-1] < rough.torque_variation
+    assert last.t[-1] == pytest.approx(rough.phases[-1].end, rel=LOST_TIME)
+    # A degree that is named is kept, and so is one that a requested accuracy needs.
+    named = replace(rings, default_transcription="legendre:3", default_intervals=20)
+    for kept in (solve_graded(named, max_rounds=2), solve_graded(rings, accuracy=1e-3, max_rounds=2)):
+        assert CALM_SCHEME not in kept.rounds[-1].mesh.transcription
+
+
+@pytest.mark.slow
+def test_a_body_carried_in_least_time_past_others_does_not_chatter():
+    found = solve_graded(carried_past_bodies())
+    assert found.report.ok
+    assert found.report.torque_variation < CALM_RATE * found.solution.t[-1]
+    assert found.solution.t[-1] == pytest.approx(CARRY_TIME, rel=LOST_TIME)
 
 
 def test_budget_ends_the_rounds_with_the_best_motion():

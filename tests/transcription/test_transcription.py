@@ -353,6 +353,11 @@ def test_what_fails_in_a_term_names_file_and_line(problem):
     said = refused(problem, OwnCost(weight=1.0, made=lambda context: context.nothing))
     assert "own_cost" in said
     assert f"in {Path(__file__).name}, line " in said
+    for made, meant in (
+        (lambda context: context.velocities, "context.v"),
+        (lambda context: context.frame("tool0").velocities, "velocity"),
+    ):
+        assert f"; did you mean {meant}? in" in refused(problem, OwnCost(weight=1.0, made=made))
 
 
 @pytest.mark.parametrize("setting", [{"tolerance": "1e-6"}, {"max_iterations": 0.5}, {"toleranc": 1e-6}])

@@ -119,10 +119,18 @@ def _export_one(file: Path, form: str, output: Path | None, rate: float, convent
     check_apart([target], [file])
     _refuse_solution_file(check_output(target))
     if samples:
+        from trajopt.motion.robot_motion import position_names, velocity_names
         from trajopt.motion.samples import warn_of_payloads
 
         plan = load_plan(file)
         warn_of_payloads([plan], form)
+        same = {
+            "quaternion": position_names(plan.model, "wxyz") == position_names(plan.model),
+            "base_velocity": velocity_names(plan.model, "world") == velocity_names(plan.model),
+        }
+        for option in (name for name, unchanged in same.items() if unchanged and is_given(name)):
+            what = f"--{option.replace('_', '-')} has no effect on {file}"
+            raise InputError(what, "allowed: for a robot whose base moves")
         motion = plan.sample(rate, **conventions)
         say(f"{motion.save(target)}: {len(motion.t)} samples at {rate:g} Hz")
     else:

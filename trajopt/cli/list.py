@@ -24,18 +24,24 @@ WIDTH = 80
 @click.command("list")
 @click.argument("problems", nargs=-1, metavar="[PROBLEM]...")
 @click.option("--robot", metavar="NAME", help="Only problems that are tested on that robot.")
+@click.option("--robots", is_flag=True, help="Robots in place of problems: names that --set robot= takes.")
 @click.option("--brief", is_flag=True, help="One row per problem.  [default without PROBLEM]")
 @click.option("--full", is_flag=True, help="With robots, phases and parameters.  [default with PROBLEM]")
 @json_option
 def list_command(
-    problems: tuple[str, ...], robot: str | None, brief: bool, full: bool, as_json: bool
+    problems: tuple[str, ...], robot: str | None, robots: bool, brief: bool, full: bool, as_json: bool
 ) -> None:
-    """List problems, or the parameters of some.
+    """List problems, the parameters of some, or robots.
 
     PROBLEM is a name or a pattern such as 'biped-*'.
     """
     if brief and full:
         raise InputError("--brief and --full are both given", "allowed: one of them")
+    if robots:
+        if problems or robot or brief or full:
+            raise InputError("--robots lists all robots", "allowed: alone, or with --json")
+        _list_robots(as_json)
+        return
     from trajopt.problem.catalogue import listing
     from trajopt.study.suite.cases import select
 
@@ -49,6 +55,18 @@ def list_command(
     else:
         for family in listed:
             _print_full(family)
+
+
+def _list_robots(as_json: bool) -> None:
+    from trajopt.robot.catalogue import robot_names
+
+    known = robot_names()
+    if as_json:
+        say(to_json({"robots": known}))
+        return
+    for group, names in known.items():
+        _print_wrapped(f"{group}: {', '.join(names)}", 2)
+    say("\nUse a name as in --set robot=NAME or robot=PACKAGE:NAME; trajopt robot NAME shows the robot.")
 
 
 def _print_brief(families: Sequence[Family], kinds: Mapping[str, str]) -> None:

@@ -34,9 +34,10 @@ def robot_command(robot: str, base: str | None, write: Path | None, html: Path |
 
     Also the torques needed to stand.
 
-    ROBOT is a name (as in --set robot=go2), a .py file with build() -> Robot, or a .urdf file or an
-    .xml file (MJCF), for which base, feet and posture are guessed from the geometry: --write saves them as a
-    .py file. Warnings do not change the exit status.
+    ROBOT is a name (as in --set robot=go2), a .py file with build() -> Robot, or a description: a .urdf file,
+    an .xml file (MJCF) or one of another package (as example-robot-data:romeo), for which base, feet and
+    posture are guessed from the geometry: --write saves them as a .py file. Warnings do not change the exit
+    status.
     """
     from trajopt.inspection.report import robot_report
 
@@ -46,7 +47,7 @@ def robot_command(robot: str, base: str | None, write: Path | None, html: Path |
     loaded = _loaded(robot, base, write)
     text = None if write is None else _starter(loaded, write)
     report = robot_report(loaded)
-    report = replace(report, notes=report.notes + _guesses(robot))
+    report = replace(report, notes=report.notes + _guesses(robot, loaded))
     say(to_json(report.to_dict()) if as_json else report.table())
     if write is not None and text is not None:
         with replacing(write) as unfinished:
@@ -62,26 +63,34 @@ def robot_command(robot: str, base: str | None, write: Path | None, html: Path |
 
 
 def _loaded(name: str, base: str | None, write: Path | None) -> Robot:
-    if Path(name).suffix in DESCRIPTIONS:
+    from trajopt.robot.catalogue import is_packaged, robot
+
+    path = Path(name)
+    if is_packaged(name):
+        loaded = robot(name)
+        if base is None or loaded.visual is None:
+            return loaded
+        path = loaded.visual.urdf
+    if path.suffix in DESCRIPTIONS:
         from trajopt.inspection.starter import guessed
 
-        return guessed(Path(name), cast("Base | None", base))
+        return guessed(path, cast("Base | None", base))
     for option, value in (("--base", base), ("--write", write)):
         if value is not None:
             what = f"{option} needs a .urdf or .xml file, and {name} is not one"
             raise InputError(what, "a path that ends in .urdf or .xml")
-    from trajopt.robot.catalogue import robot
-
     return robot(name)
 
 
-def _guesses(name: str) -> tuple[str, ...]:
+def _guesses(name: str, loaded: Robot) -> tuple[str, ...]:
     """Notes on joints that the guess of a description locks."""
-    if Path(name).suffix not in DESCRIPTIONS:
+    from trajopt.robot.catalogue import is_packaged
+
+    if loaded.visual is None or not (is_packaged(name) or Path(name).suffix in DESCRIPTIONS):
         return ()
     from trajopt.inspection.starter import limbs_of
 
-    return limbs_of(Path(name)).lines()
+    return limbs_of(loaded.visual.urdf).lines()
 
 
 def _starter(loaded: Robot, target: Path) -> str:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
+import runpy
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from typing_extensions import override
 
 from trajopt.cli.input import (
     COUNT,
@@ -22,7 +26,7 @@ from trajopt.cli.input import (
 )
 from trajopt.cli.progress import busy
 from trajopt.cli.report import say, to_json
-from trajopt.errors import InputError, finite_number
+from trajopt.errors import InputError, TrajoptError, failure, finite_number, line_in
 from trajopt.motion.output import check_apart, check_output, check_solution_output, require_ending
 
 if TYPE_CHECKING:
@@ -35,14 +39,25 @@ if TYPE_CHECKING:
 REPLANNING = "receding-horizon"
 
 
+class ControllerName(click.Choice[str]):
+    """The name of a controller, or a file that builds one."""
+
+    @override
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        return value if str(value).endswith(".py") else super().convert(value, param, ctx)
+
+
 @click.command("simulate")
 @click.argument("file", type=Path)
 @output_option("SIM", "Save the simulated motion as a solution.")
 @click.option("--html", type=Path, metavar="BOTH", help="Write a page that shows plan and simulation.")
-@choice_option(
+@default_option(
     "--controller",
-    ["joints", "whole-body", REPLANNING],
-    "Feedback of single joints, of the whole body, or plans made anew at each tick.",
+    "joints",
+    "NAME",
+    f"Feedback of single joints, whole-body, or {REPLANNING}: plans made anew at each tick; or a FILE.py of "
+    "your own with build(plan).",
+    kind=ControllerName(["joints", "whole-body", REPLANNING]),
 )
 @choice_option("--qp-solver", ["piqp", "proxqp", "osqp"], "Of the programs of the whole body.")
 @default_option("--cycles", 1, "N", "Cycles of a periodic plan.", kind=COUNT)
@@ -81,9 +96,33 @@ def simulate_command(
     plan = load_plan(file)
     if settings["controller"] == REPLANNING:
         settings["controller"] = _replanning(plan, settings["cycles"])
-    with busy(f"simulating {plan.t[-1]:.3g} s of {file} in MuJoCo"):
+    own = Path(settings["controller"]) if str(settings["controller"]).endswith(".py") else None
+    with _code_of(own), busy(f"simulating {plan.t[-1]:.3g} s of {file} in MuJoCo"):
+        if own is not None:
+            settings["controller"] = _own_controller(own, plan)
         simulated = simulate(plan, **settings)
     return _report_simulation(plan, simulated, motion, page, as_json)
+
+
+def _own_controller(file: Path, plan: Solution) -> object:
+    """What ``build(plan)`` of a file returns. Raises `InputError`."""
+    from trajopt.robot.reading import existing_file
+
+    build = runpy.run_path(str(existing_file(file, "controller"))).get("build")
+    if not callable(build):
+        raise InputError(f"controller file {file} has no build()", "def build(plan) -> TorqueController")
+    return build(plan)
+
+
+@contextlib.contextmanager
+def _code_of(file: Path | None) -> Iterator[None]:
+    """Turn errors that arise in a user's file into an `InputError` with the line."""
+    try:
+        yield
+    except Exception as error:
+        if file is None or isinstance(error, TrajoptError) or line_in(file.absolute(), error) is None:
+            raise
+        raise InputError(f"controller file {file}, {failure(error, file.absolute())}") from error
 
 
 def _replanning(plan: Solution, cycles: int) -> ReplanningController:

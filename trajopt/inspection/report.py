@@ -13,6 +13,7 @@ from trajopt.dynamics.model_quantities import joints_of_rows
 from trajopt.errors import InputError
 from trajopt.inspection.faults import find_faults, listed
 from trajopt.inspection.standing import StandingPosture, standing_posture
+from trajopt.robot.building import planar_root
 from trajopt.robot.coupling import couplings_of
 from trajopt.robot.geometry import described_geometry, mesh_vertices
 from trajopt.robot.kinematics import contact_positions
@@ -233,6 +234,8 @@ def _notes(robot: Robot, rest: StandingPosture) -> tuple[str, ...]:
         lifted = [contact.name for contact in robot.contacts if contact.name not in rest.feet]
         if lifted:
             notes.append(f"off the ground in the reference posture: {listed(lifted)}")
+    if root := planar_root(robot.model):
+        notes.append(f"planar root, kept as joints on a fixed base: {root} (base='planar' is x, z, about -y)")
     owners = joints_of_rows(robot.model)
     for what, values in (
         ("damping", robot.model.damping),

@@ -14,8 +14,8 @@ from trajopt.errors import InputError, TrajoptError, in_file, not_among, shown
 if TYPE_CHECKING:
     from trajopt.problem.problem import Problem
 
-# Name of a robot to look up, as opposed to a file.
-PLAIN_NAME = re.compile(r"[\w+-]+")
+# Name of a robot to look up, as opposed to a file: such as go2, go2:rolling, example-robot-data:romeo.
+PLAIN_NAME = re.compile(r"[\w+-]+(:[\w+-]+)*")
 # Names of parameters in solution files of earlier versions, and their current names.
 FORMER_NAMES = {"effort": "torque_limit", "effort_share": "torque_share", "minimise": "goal"}
 

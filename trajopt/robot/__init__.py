@@ -21,7 +21,7 @@ class _CallableRoom(ModuleType):
     """A package that can be called, because importing it makes ``trajopt.robot`` the package."""
 
     def __call__(self, name: str) -> Robot:
-        """Return the robot of that name, or of a ``.py`` file that builds one. Raises `InputError`."""
+        """Return the robot of that name, ``.py`` file or ``PACKAGE:NAME``. Raises `InputError`."""
         from trajopt.robot.catalogue import robot
 
         return robot(name)

@@ -74,6 +74,31 @@ def leaving_plane(model: pin.Model, axis: int, q: np.ndarray) -> set[int]:
     return leaving
 
 
+def planar_root(model: pin.Model) -> str:
+    """Axes of the first three joints if they are two slides and a turn in one plane, else empty.
+
+    Such as "bx along x, by along y, byaw about z", in the world at neutral.
+    """
+    if model.njoints < 4 or [*model.parents][1:4] != [0, 1, 2] or [*model.nvs][1:4] != [1, 1, 1]:
+        return ""
+    axes = pin.computeJointJacobians(model, model.createData(), pin.neutral(model))[:, :3]
+    turning = axes[3:].any(axis=0)
+    units = np.where(turning, axes[3:], axes[:3]).T
+    if turning.sum() != 1 or np.abs(units @ units.T - np.eye(3)).max() > PARALLEL:
+        return ""
+    ways = ("about" if turns else "along" for turns in turning)
+    told = zip(list(model.names)[1:4], ways, map(_direction, units), strict=True)
+    return ", ".join(" ".join(words) for words in told)
+
+
+def _direction(unit: np.ndarray) -> str:
+    """A unit vector (3,) as an axis, such as "-y", or as numbers."""
+    for letter, number in zip("xyz", unit, strict=True):
+        if abs(number) > 1 - PARALLEL:
+            return letter if number > 0 else f"-{letter}"
+    return "(" + ", ".join(f"{number:.3g}" for number in unit) + ")"
+
+
 def _carried_by(model: pin.Model, frame: str) -> set[int]:
     """Joints between the root and a frame; none for a frame that does not exist."""
     carrier = model.frames[model.getFrameId(frame)].parentJoint if model.existFrame(frame) else 0
@@ -174,12 +199,13 @@ def reference_posture(
             )
         q = np.concatenate([pin.neutral(model)[: BASE_COORDINATES[base]], given])
     else:
-        q = _named_posture(model, posture or {})
+        q = named_posture(model, posture or {}, np.clip(pin.neutral(model), *position_limits(model)))
     return put_on_ground(model, base, contacts, q)
 
 
-def _named_posture(model: pin.Model, values: Mapping[str, float]) -> np.ndarray:
-    q = np.clip(pin.neutral(model), *position_limits(model))
+def named_posture(model: pin.Model, values: Mapping[str, float], others: np.ndarray) -> np.ndarray:
+    """Return a configuration (nq,) with joints at ``values`` by name, and at ``others`` (nq,)."""
+    q = others.copy()
     for name, value in values.items():
         if not model.existJointName(name):
             raise InputError(f"joint '{name}' of the reference is unknown", ", ".join(list(model.names)[1:]))

@@ -17,7 +17,7 @@ from trajopt.dynamics.rerooting import Body
 from trajopt.dynamics.virtual_base import DEFAULT_ORDER, from_free_flyer, virtual_model
 from trajopt.errors import InputError
 from trajopt.robot.actuators.actuation import Thruster
-from trajopt.robot.building import sagittal
+from trajopt.robot.building import planar_root, sagittal
 from trajopt.robot.mjcf_actuators import BALL, FREE, HINGE, SLIDE, actuation_of
 from trajopt.robot.mujoco_package import mujoco_package, muted_mujoco
 from trajopt.robot.reading import existing_file
@@ -46,15 +46,13 @@ class MjcfRobot(NamedTuple):
     Args:
         model: model on the robot's base.
         passive: joints without an actuator, if others have one.
-        home: keyframe as a reference for `Robot.from_model`; None without one within the limits.
-        joints: positions of hinges and slides in that keyframe by name, rad or m.
+        start: configuration (nq,) of the file's keyframe, or else of its bodies as they are placed.
         thrusters: thrusters on the base.
     """
 
     model: pin.Model
     passive: tuple[str, ...]
-    home: np.ndarray | None
-    joints: dict[str, float]
+    start: np.ndarray
     thrusters: tuple[Thruster, ...]
 
 
@@ -85,29 +83,27 @@ def read_mjcf(path: str | Path, compiled: Any, base: Base | None) -> MjcfRobot:
         what = f"{path} has joints besides the free body '{names[free[0]]}': {', '.join(beside)}"
         raise InputError(what, "a file of the robot alone")
     model = plain = mjcf_model(compiled)
-    kind, qpos = base_of(plain), _keyframe(compiled, plain)
-    home = None if qpos is None else configuration(compiled, plain, qpos)
+    kind, start = base_of(plain), _start(compiled, plain)
     if base not in (None, kind, "virtual" if kind == "freeflyer" else kind):
-        if kind != "fixed":
-            what = f"{path} has a {kind} root joint of its own, base={base!r} contradicts it"
+        root = planar_root(plain)
+        if kind != "fixed" or root:
+            own = f"a planar root ({root})" if root else f"a {kind} root joint"
+            what = f"{path} has {own} of its own, base={base!r} contradicts it"
             raise InputError(what, f"{kind!r}")
         planar = base == "planar"
         model = mjcf_model(compiled, pin.JointModelPlanar() if planar else pin.JointModelFreeFlyer())
         model = sagittal(model) if planar else model
+        start = np.concatenate([pin.neutral(model)[: model.nq - plain.nq], start])
     if base == "virtual" and kind != "virtual":
-        model, still = virtual_model(model), np.zeros(plain.nv)
-        if kind == "freeflyer" and home is not None:
-            home = from_free_flyer(DEFAULT_ORDER, home, still, still)[0]
+        start = from_free_flyer(DEFAULT_ORDER, start, *np.zeros((2, model.nv)))[0]
+        model = virtual_model(model)
     actuation, free = actuation_of(compiled), BASE_JOINT[base_of(model)]
     driven, flies = actuation.driven, base_of(model) in ("freeflyer", "planar")
     carried = {frame.name for frame in model.frames if flies and frame.parentJoint == free}
     thrusters = tuple(one for one in actuation.thrusters if one.frame in carried)
     idle = ~driven & (compiled.nu > 0) & (compiled.jnt_type != FREE)
-    named, values = zip(joint_names(compiled), compiled.jnt_type, compiled.jnt_qposadr, strict=True), {}
-    if qpos is not None:
-        values = {name: float(qpos[entry]) for name, kind, entry in named if kind in (SLIDE, HINGE)}
     passive = tuple(np.array(joint_names(compiled))[idle].tolist())
-    return MjcfRobot(model, passive, home, values, thrusters)
+    return MjcfRobot(model, passive, start, thrusters)
 
 
 def joint_springs(compiled: Any) -> dict[str, tuple[float, float]]:
@@ -215,14 +211,14 @@ def _add_points(compiled: Any, model: pin.Model, bodies: dict[int, Body]) -> Non
         model.addFrame(pin.Frame(name, bodies[body].joint, 0, place, pin.FrameType.OP_FRAME))
 
 
-def _keyframe(compiled: Any, model: pin.Model) -> np.ndarray | None:
-    """MuJoCo's qpos of the keyframe "home", or else the first; None if it is not within the limits."""
+def _start(compiled: Any, model: pin.Model) -> np.ndarray:
+    """Configuration of the keyframe "home", or else the first, if within limits; else of bodies as placed."""
     names = [compiled.key(index).name for index in range(compiled.nkey)]
-    if not names:
-        return None
-    qpos = compiled.key_qpos[names.index(HOME) if HOME in names else 0]
-    q = configuration(compiled, model, qpos)
-    return qpos if (np.abs(np.clip(q, *position_limits(model)) - q) <= LIMIT_SLACK).all() else None
+    if names:
+        q = configuration(compiled, model, compiled.key_qpos[names.index(HOME) if HOME in names else 0])
+        if (np.abs(np.clip(q, *position_limits(model)) - q) <= LIMIT_SLACK).all():
+            return q
+    return np.clip(configuration(compiled, model, compiled.qpos0), *position_limits(model))
 
 
 def configuration(compiled: Any, model: pin.Model, qpos: np.ndarray) -> np.ndarray:

@@ -442,9 +442,10 @@ class Robot:
         """Build a robot from an MJCF file as MuJoCo compiles it; arguments and ``options`` as in `from_urdf`.
 
         The default base is that of the file. The default reference is the keyframe "home", or else the first
-        one, if it is within the limits, with the base moved until the contacts touch the ground. Joints that
-        a mapping does not name take their values from the keyframe. By default joints without an actuator
-        are passive, if others have one. Contacts name bodies, sites and colliding balls.
+        one, if it is within the limits, or else the pose in which the file has its bodies; with contacts the
+        base is moved until they touch the ground. A mapping changes joints of that reference. By default
+        joints without an actuator are passive, if others have one. Contacts name bodies, sites and colliding
+        balls.
 
         Raises `InputError` for a missing or malformed file, a base that contradicts it, unlocked joints that
         depend on others nonlinearly or in loops, several free joints, and if MuJoCo is not installed.
@@ -452,12 +453,14 @@ class Robot:
         compiled = compile_mjcf(path)
         mimics = following(path, mjcf_couplings(compiled), locked)
         read = read_mjcf(path, compiled, base)
-        posture = {**read.joints, **reference} if isinstance(reference, Mapping) else reference
+        posture = reference
+        if reference is None or isinstance(reference, Mapping):
+            posture = building.named_posture(read.model, reference or {}, read.start)
         idle = read.passive if passive is None else passive
         robot = cls.from_model(
             read.model,
             base=base,
-            reference=read.home if posture is None else posture,
+            reference=posture,
             locked=() if mimics else locked,
             passive=[joint for joint in idle if mimics or joint not in locked],
             **{"visual": VisualSource(urdf=expanded(path).absolute()), **options},
@@ -467,7 +470,7 @@ class Robot:
             robot = robot.with_mimics(list(mimics), driven).with_locked(locked)
         if read.thrusters:
             robot = robot.with_thrusters(read.thrusters)
-        if reference is not None or read.home is None:
+        if posture is reference:
             return robot
         standing = building.put_on_ground(robot.model, robot.base, robot.contacts, robot.reference)
         return replace(robot, reference=standing)

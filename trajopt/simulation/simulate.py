@@ -61,6 +61,9 @@ def simulate(solution: SolutionOrFile, **settings: Any) -> Simulation:
         raise InputError(
             f"rolling has no effect on '{plan.description.robot}'", "allowed: for contacts with a radius"
         )
+    if wanted.friction_scale != 1 and not (plan.contact_frames or plan.description.obstacles):
+        what = f"friction_scale has no effect on '{plan.description.robot}', which touches nothing"
+        raise InputError(what, "allowed: for motions with contacts or obstacles")
     with muted_mujoco():
         reference = reference_of(plan, wanted.control_rate, wanted.cycles)
         require_within(wanted, reference)

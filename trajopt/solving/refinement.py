@@ -1,9 +1,9 @@
 """Mesh refinement: rounds of solving, checking and remeshing, until a motion passes the check at all times.
 
 A mesh is refined by the figures of the check: local errors and contact drift by phase, violations between
-collocation points by interval. If an accuracy is requested, too, the error of a phase is the larger of its
-open-loop error (`accuracy.measure`: planned torques integrated by numeric Pinocchio from the phase's planned
-start) and the drift of its contacts.
+collocation points by interval. Where torques chatter, the degree is lowered to one. If an accuracy is
+requested, too, the error of a phase is the larger of its open-loop error (`accuracy.measure`: planned torques
+integrated by numeric Pinocchio from the phase's planned start) and the drift of its contacts.
 """
 
 import math
@@ -43,6 +43,9 @@ from trajopt.transcription.transcription import chosen_mesh
 
 # Scheme for which a problem's own number of intervals is meant, unless it names another.
 USUAL_SCHEME = "legendre:2"
+# Scheme of motions whose torques chatter at a higher degree. Its rates are linear within an interval: between
+# two nodes at a limit they are constant. At a higher degree they ring there between points, at no cost.
+CALM_SCHEME = "legendre:1"
 # Bodies that penetrate by this much, m, are separated before the mesh is refined.
 DEPTH = 5e-3
 # Figures of the check for joint limits.
@@ -81,6 +84,7 @@ class Refinement:
     """The rounds so far, the last solution, and the best one with its examination.
 
     ``missed`` (n_phases,) counts the successive rounds up to the last in which each phase failed.
+    ``calm`` says that the degree was lowered against chatter; see `CALM_SCHEME`.
     ``solver_time`` says that the time limit counts only the solver, not everything but compilation.
     """
 
@@ -99,6 +103,7 @@ class Refinement:
     best: tuple[float, _Examined] | None = None
     settled: bool = True
     missed: np.ndarray | int = 0
+    calm: bool = False
 
     def run(
         self, mesh: Mesh, start: Solution | str | Path | None, first: Solution | None, rounds: int
@@ -119,7 +124,8 @@ class Refinement:
             if times and self.exchange.depth(look) <= 0:  # collides only between the sampled moments
                 look = self.exchange.look(solution, times)
             near = self.exchange.depth(look)
-            if self._used(latest) <= 1 and near <= 0 and self.settled:
+            rings = examined < rounds and self._rings(mesh_of(solution), report)
+            if self._used(latest) <= 1 and near <= 0 and self.settled and not rings:
                 return "the grade is reached"
             if examined >= rounds:
                 return "it is a draft" if rounds == 1 else f"{rounds} rounds were not enough"
@@ -187,7 +193,7 @@ class Refinement:
         if solution is None:
             self.exchange = kept
         else:
-            self.settled, self.missed = True, 0
+            self.settled, self.missed, self.calm = True, 0, False
         return solution
 
     def _given(self, first: Solution) -> Solution | None:
@@ -292,8 +298,22 @@ class Refinement:
             used = max(used, max(phase_errors(examined.accuracy)) / self.target)
         return math.inf if math.isnan(used) else used
 
+    @property
+    def _degree_is_free(self) -> bool:
+        """Whether the degree may change: not that of a named scheme, nor that of calmed torques."""
+        return self.problem.default_transcription == USUAL_SCHEME and not self.calm
+
+    def _rings(self, mesh: Mesh, report: CheckReport) -> bool:
+        """Return whether torques chatter at a degree that may be lowered; a requested accuracy needs it."""
+        lower = self.refine and self._degree_is_free and mesh.transcription != CALM_SCHEME
+        return lower and self.target is None and report.chatter != ""
+
     def _refined(self, mesh: Mesh, examined: _Examined) -> Mesh:
         examination, report = examined.examination, examined.examination.report
+        if self._rings(mesh, report):
+            self.calm = True  # with as many points as before
+            calm = (one.with_scheme(CALM_SCHEME).split([one.method.s] * one.count) for one in mesh.phases)
+            return Mesh(phases=tuple(calm))
         length = NaturalUnits.of(examined.solution.model).length
         aimed = np.zeros(len(mesh.phases))
         if examined.accuracy is not None and self.target is not None:
@@ -307,9 +327,7 @@ class Refinement:
         )
         errors = [PhaseErrors(local=local, phase=worst, unknowns=sizes) for local, worst, sizes in parts]
         broken = self._pressed(mesh, errors, examination.broken)
-        # A problem that names its scheme has kinks: minimum-time torques ring at a higher degree.
-        usual = self.problem.default_transcription == USUAL_SCHEME
-        return remeshed(mesh, errors, broken, length, raise_degree=usual)
+        return remeshed(mesh, errors, broken, length, raise_degree=self._degree_is_free)
 
     def _pressed(self, mesh: Mesh, errors: Sequence[PhaseErrors], broken: np.ndarray) -> np.ndarray:
         """Return ``broken`` (I,), extended to neighbours in phases that fail round after round.

@@ -1,5 +1,6 @@
 """Point functions of a problem's collocation points, nodes and transitions, built from its terms."""
 
+import difflib
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -23,6 +24,15 @@ from trajopt.transcription.layout import Layout
 from trajopt.transcription.redundancy import independent_rows
 from trajopt.transcription.stage_functions import PointFunction, point_function
 from trajopt.transcription.timeline import NodeLayout
+
+# Symbols of a context by other words for them.
+SYMBOLS = {
+    **dict.fromkeys(("configuration", "position"), "q"),
+    **dict.fromkeys(("velocity", "qd", "dq"), "v"),
+    **dict.fromkeys(("acceleration", "qdd", "ddq"), "a"),
+    **dict.fromkeys(("tau", "effort"), "torque"),
+    **dict.fromkeys(("force", "contact_forces"), "wrenches"),
+}
 
 
 @dataclass(frozen=True)
@@ -328,7 +338,18 @@ def result_of(term: Term, phase: str, build: Callable[..., Any], context: Contex
         place = traceback.extract_tb(error.__traceback__)[-1]
         what = f"{method}() of {term.name} in phase '{phase}' fails with {type(error).__name__}"
         where = f"{Path(place.filename).name}, line {place.lineno}"
-        raise InputError(f"{what}: {first_line(error)}", f"in {where}") from error
+        raise InputError(f"{what}: {first_line(error)}", f"{_meant(error)}in {where}") from error
+
+
+def _meant(error: Exception) -> str:
+    """A suggestion for an unknown attribute of a context or of what it has; else empty."""
+    if not isinstance(error, AttributeError):
+        return ""
+    known = {name: name for name in dir(error.obj) if not name.startswith("_")}
+    if of_context := isinstance(error.obj, Context):
+        known |= SYMBOLS
+    close = difflib.get_close_matches(str(error.name), known, 1)
+    return f"did you mean {'context.' * of_context}{known[close[0]]}? " if close else ""
 
 
 def _value(method: str, result: Any, context: Context) -> ca.SX:

@@ -6,7 +6,7 @@ from fnmatch import fnmatchcase
 
 from trajopt.errors import InputError, expanded, not_among
 from trajopt.problem.family import Family
-from trajopt.robot.catalogue import kind_if_known, robot_kind
+from trajopt.robot.catalogue import is_packaged, kind_if_known, robot_kind
 
 # Suffix of a file that builds a robot; it may name a robot that no family lists.
 ROBOT_FILE = ".py"
@@ -80,9 +80,9 @@ def select(
 
 def _unnamed(robot: str, families: Mapping[str, Family], known: Iterable[str]) -> set[Case]:
     """Pair a robot that no family lists with the families that take a robot and list one of its kind."""
-    if robot.endswith(ROBOT_FILE):
-        if not expanded(robot).is_file():
-            raise InputError(f"there is no robot file {robot}", "allowed: a .py file with build()")
+    if robot.endswith(ROBOT_FILE) and not expanded(robot).is_file():
+        raise InputError(f"there is no robot file {robot}", "allowed: a .py file with build()")
+    if robot.endswith(ROBOT_FILE) or is_packaged(robot):
         kind = robot_kind(robot)
     elif (kind := kind_if_known(robot)) is None:
         raise not_among(sorted(known), robot, f"robot '{robot}' is unknown")
