@@ -81,6 +81,11 @@ LIVE = {
     "Post that an arm keeps clear of, m. Repeatable.",
     multiple=True,
 )
+@value_option(
+    "--payload",
+    "MASS[,FRAME[,X,Y,Z]]",
+    "Mass in kg that ROBOT carries, at a place of a frame, m.  [default: at the base, or the tool of an arm]",
+)
 @click.option("--rolling/--no-rolling", default=True, help="Feet with a radius roll.  [default: they do]")
 @json_option
 def drive_command(
@@ -98,6 +103,7 @@ def drive_command(
     slope: float | None,
     boxes: float | None,
     post: tuple[str, ...],
+    payload: str | None,
     as_json: bool,
     **hardware: Any,
 ) -> int:
@@ -122,6 +128,7 @@ def drive_command(
             given["obstacles"] = _posts(post)
         elif post:
             raise InputError("--post without --target", "allowed: with an arm")
+        page |= {"payload": payload}
         return _live(robot, output, page, port=port, open_browser=not no_open, target=to_target, **given)
     check_apart([output], [script, Path(robot)])
     target = output and check_solution_output(output)
@@ -132,12 +139,11 @@ def drive_command(
     from trajopt.control.mpc.arm import ArmSettings
     from trajopt.control.mpc.commands import read_commands
     from trajopt.control.mpc.receding import ControllerSettings
-    from trajopt.robot.catalogue import robot as load
     from trajopt.schedule.gaits import gait_names
     from trajopt.simulation.arm_drive import drive_arm, read_targets
     from trajopt.simulation.lockstep import drive
 
-    loaded = load(robot)
+    loaded = _robot(robot, payload)
     driving = busy(f"driving {loaded.name} in MuJoCo by {script}")
     driven: SimulatedMotion
     if loaded.base == "fixed":
@@ -172,10 +178,9 @@ def _live(robot: str, output: Path | None, how: dict[str, Any], **options: Any) 
         check_solution_output(output)
     if how["seconds"] is not None:
         require_positive("--seconds", how["seconds"], "s")
-    from trajopt.robot.catalogue import robot as load
     from trajopt.view.driving.live import LiveDrive
 
-    loaded = load(robot)
+    loaded = _robot(robot, how.pop("payload"))
     if loaded.base == "fixed" and not options["target"]:
         raise InputError(
             f"robot '{loaded.name}' has a fixed base", "allowed: with --target, an arm's tool follows"
@@ -192,6 +197,23 @@ def _live(robot: str, output: Path | None, how: dict[str, Any], **options: Any) 
     passed, behind = session.driven.passed, session.clock.behind
     say(f"{loaded.name}: {passed:.1f} s simulated, {behind:.1f} s behind the clock")
     return 0
+
+
+def _robot(name: str, payload: str | None) -> Robot:
+    """The robot, with the mass of --payload. Raises `InputError`."""
+    from trajopt.robot.catalogue import robot as load
+    from trajopt.robot.payload import with_mass
+
+    robot = load(name)
+    if payload is None:
+        return robot
+    mass, *where = payload.split(",")
+    at, *place = where or [robot.model.frames[-1].name if robot.base == "fixed" else robot.model.names[1]]
+    try:
+        numbers = [float(part) for part in (mass, *(place or "000"))]
+    except ValueError:
+        raise InputError(f"--payload is '{payload}'", "allowed: MASS[,FRAME[,X,Y,Z]], numbers") from None
+    return with_mass(robot, numbers[0], at, numbers[1:])
 
 
 def _push(robot: Robot, text: str) -> Impulse:

@@ -25,7 +25,6 @@ from trajopt.simulation.clock import lockstep
 from trajopt.simulation.drive_report import DriveReport, command_errors, plan_figures
 from trajopt.simulation.driven_scene import DrivenScene
 from trajopt.simulation.record import SimulationRecord
-from trajopt.simulation.report import relaxed_ticks
 from trajopt.simulation.scene import Scene
 from trajopt.simulation.settings import Impulse, SimulationSettings
 from trajopt.simulation.simulated import SimulatedMotion
@@ -71,8 +70,6 @@ class DrivenMotion(SimulatedMotion):
             distance=float(np.linalg.norm(np.diff(steps, axis=0), axis=1).sum()),
             mean_errors=means,
             errors=values,
-            relaxed=relaxed_ticks(controller.follower.relaxed),
-            slack=steering.slack,
             gaits=periods,
             script=script,
         )
@@ -161,20 +158,14 @@ class Steering:
     Args:
         controller: the controller.
         command: the command at a time in s.
-
-    Attributes:
-        slack: largest violation of relaxed rows in any tick, natural units.
     """
 
     def __init__(self, controller: Controller, command: Callable[[float], Command]) -> None:
-        self.controller, self.command, self.slack = controller, command, 0.0
+        self.controller, self.command = controller, command
 
     def torque(self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray) -> np.ndarray:
         """Torques (nu,) at ``t`` s, see `Controller.step`."""
-        torque = self.controller.step(t, q, v, touching, self.command(t))
-        if self.controller.follower.last is not None:
-            self.slack = max(self.slack, self.controller.follower.last.slack)
-        return torque
+        return self.controller.step(t, q, v, touching, self.command(t))
 
 
 def base_velocity(scene: Scene, record: SimulationRecord) -> np.ndarray:
