@@ -122,13 +122,12 @@ def drive_command(
     if is_given("seed") and boxes is None and not hardware["noise"] and not hardware["sensor_noise"]:
         raise InputError("--seed has no effect here", "allowed: with --noise, --sensor-noise or --boxes")
     if script is None:
-        page = {"seconds": seconds, "exit_with_page": exit_with_page}
+        page: dict[str, Any] = {"seconds": seconds, "exit_with_page": exit_with_page, "payload": payload}
         given = {name: value for name, value in hardware.items() if is_given(name)}
         if to_target:
             given["obstacles"] = _posts(post)
         elif post:
             raise InputError("--post without --target", "allowed: with an arm")
-        page |= {"payload": payload}
         return _live(robot, output, page, port=port, open_browser=not no_open, target=to_target, **given)
     check_apart([output], [script, Path(robot)])
     target = output and check_solution_output(output)
