@@ -171,6 +171,11 @@ def test_targets_that_do_not_fit_are_one_line(text, line, tmp_path):
         (["go2", "--script", "CSV", "--boxes", "3"], "part of boxes_ahead is 3.0"),
         (["go2", "--script", "CSV", "--boxes", "0.1", "--slope", "5"], "--slope and --boxes are both given"),
         (["go2", "--script", "CSV", "--seed", "3"], "--seed has no effect here"),
+        (["go2", "--script", "CSV", "--terrain", "hills"], "--terrain is 'hills'; allowed: steps, stairs"),
+        (["go2", "--script", "CSV", "--terrain", "gap:width=1", "--slope", "5"], "--slope and --terrain are"),
+        (["go2", "--terrain", "stairs:rise=0.1"], "--terrain 'stairs:rise=0.1' has the wrong form"),
+        (["panda", "--target", "--terrain", "gap:width=1"], "--terrain with --target; allowed: with a robot"),
+        (["talos", "--terrain", "gap:width=1"], "robot 'talos' has soles; allowed: point feet"),
         (
             ["go2", "--script", "CSV", "--delay", "101"],
             "delay of SimulationSettings is 101",

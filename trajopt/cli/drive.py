@@ -40,7 +40,7 @@ SCRIPTED = {
     "as_json": "--json",
 }
 # Those of robots on legs.
-ON_LEGS = ("push", "slope", "boxes", "rolling")
+ON_LEGS = ("push", "slope", "boxes", "terrain", "rolling")
 # Those of live drives.
 LIVE = {
     "port": "--port",
@@ -75,6 +75,7 @@ LIVE = {
 )
 @value_option("--slope", "DEG", "Slope in front of the robot, of which it does not know.", float)
 @value_option("--boxes", "PART", "Boxes in front of it, up to this part of its length high.", float)
+@value_option("--terrain", "KIND:NAME=VALUE,...", "Known ground: steps, stairs, box, slope, or FILE.json.")
 @value_option(
     "--post",
     "X,Y,HEIGHT,RADIUS",
@@ -102,6 +103,7 @@ def drive_command(
     push: tuple[str, ...],
     slope: float | None,
     boxes: float | None,
+    terrain: str | None,
     post: tuple[str, ...],
     payload: str | None,
     as_json: bool,
@@ -126,15 +128,20 @@ def drive_command(
         given = {name: value for name, value in hardware.items() if is_given(name)}
         if to_target:
             given["obstacles"] = _posts(post)
+            if terrain is not None:
+                raise InputError("--terrain with --target", "allowed: with a robot on legs")
         elif post:
             raise InputError("--post without --target", "allowed: with an arm")
+        else:
+            given["terrain"] = terrain and _known(terrain)
         return _live(robot, output, page, port=port, open_browser=not no_open, target=to_target, **given)
     check_apart([output], [script, Path(robot)])
     target = output and check_solution_output(output)
     if seconds is not None:
         require_positive("--seconds", seconds, "s")
-    if slope is not None and boxes is not None:
-        raise InputError("--slope and --boxes are both given", "allowed: one of them")
+    grounds = [name for name in ("slope", "boxes", "terrain") if is_given(name)]
+    if len(grounds) > 1:
+        raise InputError(f"--{grounds[0]} and --{grounds[1]} are both given", "allowed: one of them")
     from trajopt.control.mpc.arm import ArmSettings
     from trajopt.control.mpc.commands import read_commands
     from trajopt.control.mpc.receding import ControllerSettings
@@ -161,6 +168,7 @@ def drive_command(
         pushes = [_push(loaded, text) for text in push]
         ground = _ground(loaded, slope, boxes, hardware["seed"])
         hardware["settings"] = ControllerSettings(period=period, delay=plan_delay)
+        hardware["terrain"] = terrain and _known(terrain)
         with driving:
             driven = drive(loaded, commands, duration=seconds, pushes=pushes, ground=ground, **hardware)
     if target is not None:
@@ -246,6 +254,20 @@ def _posts(texts: tuple[str, ...]) -> list[Obstacle]:
         ends = np.array([[x, y, radius], [x, y, height - radius]])
         posts.append(CapsuleObstacle(name=f"post {number}", start=ends[0], end=ends[1], radius=radius))
     return posts
+
+
+def _known(text: str) -> PiecewiseTerrain:
+    """The ground of --terrain, ahead of the robot. Raises `InputError`."""
+    from trajopt.control.mpc.hidden_ground import DISTANCE
+    from trajopt.terrain.piecewise import PiecewiseTerrain
+    from trajopt.terrain.reading import read_terrain
+
+    ground = read_terrain(text, DISTANCE)
+    if not isinstance(ground, PiecewiseTerrain):
+        raise InputError(
+            f"--terrain '{text}' is no ground of plane faces", "allowed: for smooth ground, solve"
+        )
+    return ground
 
 
 def _ground(robot: Robot, slope: float | None, boxes: float | None, seed: int) -> PiecewiseTerrain | None:

@@ -99,6 +99,7 @@ def drive(
     controller: Controller | None = None,
     pushes: Sequence[Impulse] = (),
     ground: PiecewiseTerrain | None = None,
+    terrain: PiecewiseTerrain | None = None,
     **hardware: Any,
 ) -> DrivenMotion:
     """Drive a robot by a script in MuJoCo; the drive ends early if the robot falls.
@@ -114,6 +115,7 @@ def drive(
         pushes: level impulses on the base.
         ground: ground that feet and links touch and the controller does not know, with level faces at height
             0 where the robot stands; default: level ground.
+        terrain: such ground that the controller knows, in place of ``ground``.
         hardware: fields of `SimulationSettings` among `HARDWARE`; feet with a radius roll by default.
 
     Raises:
@@ -129,12 +131,15 @@ def drive(
     if chosen is not None and chosen.live:
         raise InputError("settings of drive are live", "allowed: live=False, simulated time waits for plans")
     wanted = SimulationSettings(impulse=pushes, **{"rolling": True, **hardware})
-    driven = DrivenScene(robot, wanted, duration or script.times[-1] + LAST, ground=ground)
+    if ground is not None and terrain is not None:
+        raise InputError("drive has a ground and a terrain", "allowed: one of them")
+    below = ground if terrain is None else terrain
+    driven = DrivenScene(robot, wanted, duration or script.times[-1] + LAST, ground=below)
     used = dict.fromkeys(command.gait for command in script.commands if command.gait != STAND)
     names = tuple(gaits or used or gait_names(robot)[:1])
     if controller is not None:
-        if gaits is not None or settings is not None:
-            raise InputError("controller of drive has gaits and settings", "allowed: no others")
+        if gaits is not None or settings is not None or terrain is not None:
+            raise InputError("controller of drive has gaits and settings, or terrain", "allowed: no others")
         own = controller.robot
         if own.model.names.tolist() != robot.model.names.tolist() or own.contacts != robot.contacts:
             raise InputError(
@@ -144,7 +149,7 @@ def drive(
     for name in used:
         if name not in names:
             raise not_among(names, name, f"gait '{name}' of the script is not among those of the drive")
-    steering = Steering(controller or Controller(robot, names, settings), script.at)
+    steering = Steering(controller or Controller(robot, names, settings, terrain), script.at)
     for command in script.commands:
         steering.controller.possible(command)
     driven.begin(steering, lambda t: script.at(t).height)
