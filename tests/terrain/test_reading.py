@@ -18,7 +18,10 @@ STEPS = PiecewiseTerrain.steps([0.06, 0.0], 0.4, at=(0.5, 0.0))
         ("stairs:rise=0.1,run=0.3,steps=3,at=[1,0]", PiecewiseTerrain.stairs(0.1, 0.3, 3, at=(1.0, 0.0))),
         ("box:height=0.1,length=0.4,width=1", PiecewiseTerrain.box(0.1, 0.4, 1.0, at=(0.7, 0.0))),
         ("gap:width=0.1", PiecewiseTerrain.gap(0.1, at=(0.5, 0.0))),
-        ("stones:centres=[[0,0],[1,0]],size=0.3", PiecewiseTerrain.stepping_stones([(0, 0), (1, 0)], 0.3)),
+        (
+            "stepping_stones:centres=[[0,0],[1,0]],size=0.3",
+            PiecewiseTerrain.stepping_stones([(0, 0), (1, 0)], 0.3),
+        ),
     ],
 )
 def test_a_text_names_a_constructor_and_its_arguments(text, terrain):
@@ -35,7 +38,10 @@ def test_a_file_has_the_description_of_a_terrain(terrain, tmp_path):
 @pytest.mark.parametrize(
     ("text", "line"),
     [
-        ("hills", "--terrain is 'hills'; allowed: steps, stairs, box, gap, slope, stones, FILE.json"),
+        (
+            "hills",
+            "--terrain is 'hills'; allowed: steps, stairs, box, gap, slope, stepping_stones, FILE.json",
+        ),
         ("stairs:rise=0.1", "--terrain 'stairs:rise=0.1' has the wrong form; allowed: stairs:NAME=VALUE"),
         ("stairs:rise=0.1,run=0.3,steps=3,tread=1", "has the wrong form; allowed: stairs:NAME=VALUE"),
         ("gap:width", "--terrain gap has 'width'; allowed: NAME=NUMBER"),

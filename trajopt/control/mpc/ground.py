@@ -81,9 +81,9 @@ class GroundEstimate:
 
         The second array (n,) has factors on its level error, relative to that of its height.
         """
-        return np.column_stack(
-            [np.tile(goal[:2], (len(s), 1)), goal[2] + (1 - s) * (start[2] - goal[2])]
-        ), PULL * s
+        path = np.tile(goal, (len(s), 1))
+        path[:, 2] += (1 - s) * (start[2] - goal[2])
+        return path, PULL * s
 
 
 class KnownGround(GroundEstimate):
@@ -125,17 +125,15 @@ class KnownGround(GroundEstimate):
 
     def _heights(self, places: np.ndarray, offsets: np.ndarray) -> np.ndarray:
         """Heights (..., n) at places (..., 2) moved by offsets (n, 2), m."""
-        points = places[..., None, :] + offsets
-        return self.terrain.height(points[..., 0], points[..., 1])
+        return self.terrain.height(*np.moveaxis(places[..., None, :] + offsets, -1, 0))
 
     @override
     def swing(self, s: np.ndarray, start: np.ndarray, goal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The path rises to the highest ground below it before it leaves, and descends behind it."""
         way = start[:2] + np.linspace(0.0, 1.0, ALONG)[:, None] * (goal[:2] - start[:2])
         top = max(float(self.terrain.height(*way.T).max()), start[2], goal[2])
-        rises, falls, moves = (
-            _smooth(part) for part in (s / SLANT, (1 - s) / SLANT, (s - EDGE) / (1 - 2 * EDGE))
-        )
+        parts = np.clip([s / SLANT, (1 - s) / SLANT, (s - EDGE) / (1 - 2 * EDGE)], 0.0, 1.0)
+        rises, falls, moves = parts**2 * (3 - 2 * parts)
         heights = np.minimum(start[2] + (top - start[2]) * rises, goal[2] + (top - goal[2]) * falls)
         return np.column_stack([start[:2] + moves[:, None] * (goal - start)[:2], heights]), np.ones(len(s))
 
@@ -159,8 +157,3 @@ class KnownGround(GroundEstimate):
         beyond = rises.max(axis=-1) - np.maximum(even, self._margin * np.arange(rises.shape[1]))
         low = -even - rises[:, 0].min(axis=-1)
         return np.round(np.maximum(np.maximum(beyond.max(axis=-1), low), 0.0), 3)
-
-
-def _smooth(part: np.ndarray) -> np.ndarray:
-    clipped = np.clip(part, 0.0, 1.0)
-    return np.asarray(clipped**2 * (3 - 2 * clipped))
