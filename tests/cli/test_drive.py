@@ -100,6 +100,30 @@ def test_an_arm_goes_around_a_post_that_stands_in_its_way(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("name", "payload", "lines", "at"),
+    [
+        ("go2", "5,base,0.1,0,0.1", TROT, (1, [0.1, 0.0, 0.1])),
+        ("panda", "2", "time,x,y,z\n0,0.4,0,0.4\n", (7, None)),
+    ],
+)
+def test_a_payload_is_carried_by_the_link_of_its_frame(name, payload, lines, at, tmp_path):
+    """It is part of the link in the plant and in the model of the controller, which has no steady error."""
+    script, run = tmp_path / "script.csv", tmp_path / "run.npz"
+    script.write_text(lines)
+    done = invoke(
+        "drive", name, "--script", script, "--seconds", 0.5, "--payload", payload, "-o", run, "--json"
+    )
+    assert done.exit_code == 0, done.stderr
+    figures, (link, place) = json.loads(done.stdout), at
+    assert figures["passed"] is True
+    assert figures.get("error_mean", 0.0) < ERROR
+    own, model, mass = robots.load(name).model, Solution.load(run).model, float(payload.split(",")[0])
+    added = model.inertias[link] - own.inertias[link]
+    assert added.mass == pytest.approx(mass)
+    assert place is None or added.lever == pytest.approx(place)
+
+
+@pytest.mark.parametrize(
     ("text", "line"),
     [
         ("time,x,y,z\n0,0.4,0\n", "line 2: '0,0.4,0'; allowed"),
@@ -136,6 +160,10 @@ def test_targets_that_do_not_fit_are_one_line(text, line, tmp_path):
         (["go2", "--script", "CSV", "--seconds", "0"], "--seconds is 0 s; allowed: finite and > 0"),
         (["go2", "--script", "CSV", "--seconds", "soon"], "Invalid value for '--seconds'"),
         (["go2", "--script", "CSV", "--period", "0"], "period of ControllerSettings is 0.0"),
+        (["go2", "--script", "CSV", "--payload", "1,base,2"], "place of a payload is [2.0]; allowed: 3"),
+        (["go2", "--script", "CSV", "--payload", "a"], "--payload is 'a'; allowed: MASS[,FRAME[,X,Y,Z]]"),
+        (["go2", "--payload", "-1"], "mass of a payload is -1 kg; allowed: finite and >= 0"),
+        (["go2", "--script", "CSV", "--payload", "1,nose"], "a payload names frame 'nose'"),
         (["go2", "--script", "CSV", "--push", "1,2"], "--push is '1,2'; allowed: TIME,DEGREES,SIZE, numbers"),
         (["go2", "--script", "CSV", "--push", "1,0,-2"], "size of Impulse is -2.0"),
         (["go2", "--script", "CSV", "--push", "99,0,1"], "an impulse at 99 s is after the simulation"),
@@ -143,6 +171,11 @@ def test_targets_that_do_not_fit_are_one_line(text, line, tmp_path):
         (["go2", "--script", "CSV", "--boxes", "3"], "part of boxes_ahead is 3.0"),
         (["go2", "--script", "CSV", "--boxes", "0.1", "--slope", "5"], "--slope and --boxes are both given"),
         (["go2", "--script", "CSV", "--seed", "3"], "--seed has no effect here"),
+        (["go2", "--script", "CSV", "--terrain", "hills"], "--terrain is 'hills'; allowed: steps, stairs"),
+        (["go2", "--script", "CSV", "--terrain", "gap:width=1", "--slope", "5"], "--slope and --terrain are"),
+        (["go2", "--terrain", "stairs:rise=0.1"], "--terrain 'stairs:rise=0.1' has the wrong form"),
+        (["panda", "--target", "--terrain", "gap:width=1"], "--terrain with --target; allowed: with a robot"),
+        (["talos", "--terrain", "gap:width=1"], "robot 'talos' has soles; allowed: point feet"),
         (
             ["go2", "--script", "CSV", "--delay", "101"],
             "delay of SimulationSettings is 101",

@@ -22,6 +22,7 @@ from trajopt.robot.catalogue import robot
 from trajopt.robot.kinematics import frame_pose
 from trajopt.simulation.clock import CATCH, STRETCH, WallClock
 from trajopt.simulation.driven_scene import DrivenScene
+from trajopt.terrain import PiecewiseTerrain
 from trajopt.view.driving.drawing import Painter
 from trajopt.view.driving.drivers import SLOW, ArmDriver, LegsDriver
 from trajopt.view.driving.live import LiveDrive
@@ -197,6 +198,14 @@ def test_a_controller_as_new_goes_on_like_another(driver: LegsDriver):
 
     assert isinstance(driver.steering.controller, Controller)
     np.testing.assert_allclose(driven(), driven(), atol=AS_NEW)
+
+
+def test_known_terrain_is_below_the_robot_and_in_its_controller_after_a_reset_too():
+    terrain = PiecewiseTerrain.stairs(0.05, 0.3, 2, at=(0.5, 0.0))
+    session = DriveSession(LegsDriver(robot("go2"), ("trot",), terrain=terrain), clock=instant())
+    assert session.stand.description.terrain == terrain
+    session.reset()
+    assert session.driver.steering.controller.ground.terrain is terrain
 
 
 def test_a_slow_gait_gets_low_speeds():

@@ -33,7 +33,6 @@ GOAL, CYCLE, FARTHEST = {"x": "m", "y": "m", "yaw": "rad"}, ("robot", "speed"), 
 KINDS = ("quadruped", "biped")
 OBSTACLES = {"box": "height", "gap": "width"}
 GOAL_FORM = "allowed: --goal x=METRES, y=METRES or yaw=RADIANS, or --periodic --set speed=M/S"
-TERRAIN_FORM = "allowed: flat, box:height=METRES or gap:width=METRES"
 TIME_FORM = "allowed: seconds, such as 1.5, or bounds, such as 1:2"
 
 
@@ -44,7 +43,11 @@ TIME_FORM = "allowed: seconds, such as 1.5, or bounds, such as 1:2"
     "--goal", multiple=True, metavar="NAME=VALUE", help="Of a robot: x, y in m, yaw in rad, to stand at."
 )
 @click.option("--periodic", is_flag=True, help="Of a robot: a cycle, with --set speed=M/S.")
-@value_option("--terrain", "KIND", "Of a robot: flat, box:height=METRES, gap:width=METRES.  [default: flat]")
+@value_option(
+    "--terrain",
+    "KIND",
+    "Of a robot: flat, box:height=M, gap:width=M, stairs:rise=M,run=M,steps=N ..., FILE.json.",
+)
 @value_option("--time", "SECONDS", "Of a robot: duration, or bounds LOW:HIGH.  [default: from the way]")
 @default_option("--seeds", 4, "N", "Relaxed motions, from noise beside legs that stand.", kind=SEEDS)
 @click.option("--no-known", is_flag=True, help="Without gaits, hops and steps that are known.")
@@ -136,8 +139,9 @@ def _tasks(
     from trajopt.problem.catalogue import families
     from trajopt.problem.family import choose
     from trajopt.robot.catalogue import robot as load_robot
-    from trajopt.study.discovery.goal import Destination, obstacle, task_to
+    from trajopt.study.discovery.goal import Destination, first_edge, obstacle, task_to
     from trajopt.study.discovery.task import ContactTask
+    from trajopt.terrain.reading import read_terrain
 
     if problem in families():
         named = {"--goal": goal, "--terrain": terrain, "--time": time, "--periodic": periodic}
@@ -165,16 +169,18 @@ def _tasks(
     span = None if low == high else (low, high)
     kind, _, size = (terrain or "flat").partition(":")
     name, _, text = size.partition("=")
-    if (kind, size) != ("flat", "") and OBSTACLES.get(kind) != name:
-        raise InputError(f"--terrain '{terrain}' has the wrong form", TERRAIN_FORM)
-    extent = None if kind == "flat" else _number(name, text)
+    extent, ground = None, None
+    if OBSTACLES.get(kind) == name and "," not in text:
+        extent = _number(name, text)
+    elif terrain and terrain != "flat":
+        ground = read_terrain(terrain, first_edge(robot))
     if not goal:
         raise InputError(f"the robot '{problem}' has no goal", GOAL_FORM)
 
     def make(part: float) -> ContactTask:
         way = {name: part * value for name, value in values.items()}
         place = Destination(**way, duration=(low + high) / 2 if high else None, duration_range=span)
-        return task_to(robot, place, None if extent is None else obstacle(robot, kind, extent, place))
+        return task_to(robot, place, ground if extent is None else obstacle(robot, kind, extent, place))
 
     return make
 

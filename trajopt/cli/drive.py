@@ -40,7 +40,7 @@ SCRIPTED = {
     "as_json": "--json",
 }
 # Those of robots on legs.
-ON_LEGS = ("push", "slope", "boxes", "rolling")
+ON_LEGS = ("push", "slope", "boxes", "terrain", "rolling")
 # Those of live drives.
 LIVE = {
     "port": "--port",
@@ -75,11 +75,17 @@ LIVE = {
 )
 @value_option("--slope", "DEG", "Slope in front of the robot, of which it does not know.", float)
 @value_option("--boxes", "PART", "Boxes in front of it, up to this part of its length high.", float)
+@value_option("--terrain", "KIND:NAME=VALUE,...", "Known ground: steps, stairs, box, slope, or FILE.json.")
 @value_option(
     "--post",
     "X,Y,HEIGHT,RADIUS",
     "Post that an arm keeps clear of, m. Repeatable.",
     multiple=True,
+)
+@value_option(
+    "--payload",
+    "MASS[,FRAME[,X,Y,Z]]",
+    "Mass in kg that ROBOT carries, at a place of a frame, m.  [default: at the base, or the tool of an arm]",
 )
 @click.option("--rolling/--no-rolling", default=True, help="Feet with a radius roll.  [default: they do]")
 @json_option
@@ -97,7 +103,9 @@ def drive_command(
     push: tuple[str, ...],
     slope: float | None,
     boxes: float | None,
+    terrain: str | None,
     post: tuple[str, ...],
+    payload: str | None,
     as_json: bool,
     **hardware: Any,
 ) -> int:
@@ -116,28 +124,32 @@ def drive_command(
     if is_given("seed") and boxes is None and not hardware["noise"] and not hardware["sensor_noise"]:
         raise InputError("--seed has no effect here", "allowed: with --noise, --sensor-noise or --boxes")
     if script is None:
-        page = {"seconds": seconds, "exit_with_page": exit_with_page}
+        page: dict[str, Any] = {"seconds": seconds, "exit_with_page": exit_with_page, "payload": payload}
         given = {name: value for name, value in hardware.items() if is_given(name)}
         if to_target:
             given["obstacles"] = _posts(post)
+            if terrain is not None:
+                raise InputError("--terrain with --target", "allowed: with a robot on legs")
         elif post:
             raise InputError("--post without --target", "allowed: with an arm")
+        else:
+            given["terrain"] = terrain and _known(terrain)
         return _live(robot, output, page, port=port, open_browser=not no_open, target=to_target, **given)
     check_apart([output], [script, Path(robot)])
     target = output and check_solution_output(output)
     if seconds is not None:
         require_positive("--seconds", seconds, "s")
-    if slope is not None and boxes is not None:
-        raise InputError("--slope and --boxes are both given", "allowed: one of them")
+    grounds = [name for name in ("slope", "boxes", "terrain") if is_given(name)]
+    if len(grounds) > 1:
+        raise InputError(f"--{grounds[0]} and --{grounds[1]} are both given", "allowed: one of them")
     from trajopt.control.mpc.arm import ArmSettings
     from trajopt.control.mpc.commands import read_commands
     from trajopt.control.mpc.receding import ControllerSettings
-    from trajopt.robot.catalogue import robot as load
     from trajopt.schedule.gaits import gait_names
     from trajopt.simulation.arm_drive import drive_arm, read_targets
     from trajopt.simulation.lockstep import drive
 
-    loaded = load(robot)
+    loaded = _robot(robot, payload)
     driving = busy(f"driving {loaded.name} in MuJoCo by {script}")
     driven: SimulatedMotion
     if loaded.base == "fixed":
@@ -156,6 +168,7 @@ def drive_command(
         pushes = [_push(loaded, text) for text in push]
         ground = _ground(loaded, slope, boxes, hardware["seed"])
         hardware["settings"] = ControllerSettings(period=period, delay=plan_delay)
+        hardware["terrain"] = terrain and _known(terrain)
         with driving:
             driven = drive(loaded, commands, duration=seconds, pushes=pushes, ground=ground, **hardware)
     if target is not None:
@@ -172,10 +185,9 @@ def _live(robot: str, output: Path | None, how: dict[str, Any], **options: Any) 
         check_solution_output(output)
     if how["seconds"] is not None:
         require_positive("--seconds", how["seconds"], "s")
-    from trajopt.robot.catalogue import robot as load
     from trajopt.view.driving.live import LiveDrive
 
-    loaded = load(robot)
+    loaded = _robot(robot, how.pop("payload"))
     if loaded.base == "fixed" and not options["target"]:
         raise InputError(
             f"robot '{loaded.name}' has a fixed base", "allowed: with --target, an arm's tool follows"
@@ -192,6 +204,23 @@ def _live(robot: str, output: Path | None, how: dict[str, Any], **options: Any) 
     passed, behind = session.driven.passed, session.clock.behind
     say(f"{loaded.name}: {passed:.1f} s simulated, {behind:.1f} s behind the clock")
     return 0
+
+
+def _robot(name: str, payload: str | None) -> Robot:
+    """The robot, with the mass of --payload. Raises `InputError`."""
+    from trajopt.robot.catalogue import robot as load
+    from trajopt.robot.payload import with_mass
+
+    robot = load(name)
+    if payload is None:
+        return robot
+    mass, *where = payload.split(",")
+    at, *place = where or [robot.model.frames[-1].name if robot.base == "fixed" else robot.model.names[1]]
+    try:
+        numbers = [float(part) for part in (mass, *(place or "000"))]
+    except ValueError:
+        raise InputError(f"--payload is '{payload}'", "allowed: MASS[,FRAME[,X,Y,Z]], numbers") from None
+    return with_mass(robot, numbers[0], at, numbers[1:])
 
 
 def _push(robot: Robot, text: str) -> Impulse:
@@ -225,6 +254,20 @@ def _posts(texts: tuple[str, ...]) -> list[Obstacle]:
         ends = np.array([[x, y, radius], [x, y, height - radius]])
         posts.append(CapsuleObstacle(name=f"post {number}", start=ends[0], end=ends[1], radius=radius))
     return posts
+
+
+def _known(text: str) -> PiecewiseTerrain:
+    """The ground of --terrain, ahead of the robot. Raises `InputError`."""
+    from trajopt.control.mpc.hidden_ground import DISTANCE
+    from trajopt.terrain.piecewise import PiecewiseTerrain
+    from trajopt.terrain.reading import read_terrain
+
+    ground = read_terrain(text, DISTANCE)
+    if not isinstance(ground, PiecewiseTerrain):
+        raise InputError(
+            f"--terrain '{text}' is no ground of plane faces", "allowed: for smooth ground, solve"
+        )
+    return ground
 
 
 def _ground(robot: Robot, slope: float | None, boxes: float | None, seed: int) -> PiecewiseTerrain | None:

@@ -10,6 +10,7 @@ exerts a wrench at the holding contact: by Newton and Euler, in the axes of the 
 the torques of the robot with its load.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated
 
@@ -17,7 +18,8 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.arguments import Array3, Array33, ArrayShape, NonNegative, checked
-from trajopt.errors import InputError
+from trajopt.errors import InputError, finite_array, require_not_negative
+from trajopt.robot.contact import require_frame
 from trajopt.robot.robot import Robot
 
 
@@ -82,6 +84,14 @@ def loaded(robot: Robot, payload: Payload) -> Robot:
     """The robot with the payload as part of the link that holds it."""
     frame = robot.contact(payload.contact).frame
     return replace(robot, model=loaded_model(robot.model, frame, payload.spatial))
+
+
+def with_mass(robot: Robot, mass: float, frame: str, place: Sequence[float]) -> Robot:
+    """The robot with a point mass, kg, at a place (3,), m, in the axes of a frame. Raises `InputError`."""
+    require_not_negative("mass of a payload", mass, "kg")
+    require_frame(robot.model, frame, "a payload")
+    body = pin.Inertia(mass, finite_array("place of a payload", place, unit="m"), np.zeros((3, 3)))
+    return replace(robot, model=loaded_model(robot.model, frame, body))
 
 
 def payload_wrench(

@@ -14,7 +14,7 @@ from trajopt.control.mpc.commands import CommandScript
 from trajopt.control.mpc.controller import Controller
 from trajopt.simulation.figures import Fall
 from trajopt.simulation.record import SimulationRecord
-from trajopt.simulation.report import MotionReport
+from trajopt.simulation.report import MotionReport, relaxed_ticks
 
 # Tracking errors count from this time after each change of command, s.
 SETTLED = 0.5
@@ -91,8 +91,10 @@ class PlanFigures(MotionReport):
     that took longer than the ``deadline`` in s, which has no effect in lockstep. ``begun_anew``: plans that
     were lost, after which the next one starts afresh. ``plans_relaxed``: plans with violated rows, and
     ``violations``: the largest scaled violation, by the name of the rows, see
-    `trajopt.control.mpc.plans.ControllerReport`. ``plan_times``, ``solver_times``, ``tick_times``: of whole
-    plans, of their solver, and of a tick's torques; the first plan, for which the robot waits, is left out.
+    `trajopt.control.mpc.plans.ControllerReport`. ``relaxed``: ticks by what their programs relaxed, see
+    `trajopt.control.inverse_dynamics.RELAXED`, and ``slack``: the largest violation in them, natural units.
+    ``plan_times``, ``solver_times``, ``tick_times``: of whole plans, of their solver, and of a tick's
+    torques; the first plan, for which the robot waits, is left out.
     """
 
     simulated: float = figure("driven", "s")
@@ -102,6 +104,8 @@ class PlanFigures(MotionReport):
     begun_anew: int = figure("plans begun anew")
     plans_relaxed: Mapping[str, int] = figure("plans relaxed")
     violations: Mapping[str, float] = figure("violation", "scaled", applies=lambda r: r.plans_relaxed)
+    relaxed: Mapping[str, int] = figure("ticks by relaxation")
+    slack: float = figure("ticks, slack", "natural")
     plan_times: TimeFigures = figure("time of a plan")
     solver_times: TimeFigures = figure("time of its solver")
     tick_times: TimeFigures = figure("time of a tick's torques")
@@ -125,6 +129,8 @@ def plan_figures(
         "begun_anew": counts.anew,
         "plans_relaxed": {name: count for name, count in counts.relaxed.items() if count},
         "violations": dict(counts.violations),
+        "relaxed": relaxed_ticks(counts.ticks),
+        "slack": counts.slack,
         "plan_times": TimeFigures.of(counts.planning[1:]),
         "solver_times": TimeFigures.of(counts.solving[1:]),
         "tick_times": TimeFigures.of(counts.following),
@@ -141,15 +147,11 @@ class DriveReport(PlanFigures):
         distance: distance that the base moved along the ground, m.
         mean_errors: velocity errors averaged over gait periods, see `command_errors`; None if no time counts.
         errors: errors of the velocity itself, likewise.
-        relaxed: ticks by what was relaxed, see `trajopt.control.inverse_dynamics.RELAXED`.
-        slack: largest violation in these ticks, natural units.
         gaits: periods of the gaits by name, s.
         script: the commands.
     """
 
     duration: float
-    relaxed: Mapping[str, int] = figure("ticks by relaxation")
-    slack: float = figure("ticks, slack", "natural")
     distance: float = figure("distance", "m")
     mean_errors: CommandErrors | None = figure("rms error of mean velocity")
     errors: CommandErrors | None = figure("rms error of velocity")

@@ -25,7 +25,6 @@ from trajopt.simulation.clock import lockstep
 from trajopt.simulation.drive_report import DriveReport, command_errors, plan_figures
 from trajopt.simulation.driven_scene import DrivenScene
 from trajopt.simulation.record import SimulationRecord
-from trajopt.simulation.report import relaxed_ticks
 from trajopt.simulation.scene import Scene
 from trajopt.simulation.settings import Impulse, SimulationSettings
 from trajopt.simulation.simulated import SimulatedMotion
@@ -71,8 +70,6 @@ class DrivenMotion(SimulatedMotion):
             distance=float(np.linalg.norm(np.diff(steps, axis=0), axis=1).sum()),
             mean_errors=means,
             errors=values,
-            relaxed=relaxed_ticks(controller.follower.relaxed),
-            slack=steering.slack,
             gaits=periods,
             script=script,
         )
@@ -102,6 +99,7 @@ def drive(
     controller: Controller | None = None,
     pushes: Sequence[Impulse] = (),
     ground: PiecewiseTerrain | None = None,
+    terrain: PiecewiseTerrain | None = None,
     **hardware: Any,
 ) -> DrivenMotion:
     """Drive a robot by a script in MuJoCo; the drive ends early if the robot falls.
@@ -117,6 +115,7 @@ def drive(
         pushes: level impulses on the base.
         ground: ground that feet and links touch and the controller does not know, with level faces at height
             0 where the robot stands; default: level ground.
+        terrain: such ground that the controller knows, in place of ``ground``.
         hardware: fields of `SimulationSettings` among `HARDWARE`; feet with a radius roll by default.
 
     Raises:
@@ -132,12 +131,15 @@ def drive(
     if chosen is not None and chosen.live:
         raise InputError("settings of drive are live", "allowed: live=False, simulated time waits for plans")
     wanted = SimulationSettings(impulse=pushes, **{"rolling": True, **hardware})
-    driven = DrivenScene(robot, wanted, duration or script.times[-1] + LAST, ground=ground)
+    if ground is not None and terrain is not None:
+        raise InputError("drive has a ground and a terrain", "allowed: one of them")
+    below = ground if terrain is None else terrain
+    driven = DrivenScene(robot, wanted, duration or script.times[-1] + LAST, ground=below)
     used = dict.fromkeys(command.gait for command in script.commands if command.gait != STAND)
     names = tuple(gaits or used or gait_names(robot)[:1])
     if controller is not None:
-        if gaits is not None or settings is not None:
-            raise InputError("controller of drive has gaits and settings", "allowed: no others")
+        if gaits is not None or settings is not None or terrain is not None:
+            raise InputError("controller of drive has gaits and settings, or terrain", "allowed: no others")
         own = controller.robot
         if own.model.names.tolist() != robot.model.names.tolist() or own.contacts != robot.contacts:
             raise InputError(
@@ -147,7 +149,7 @@ def drive(
     for name in used:
         if name not in names:
             raise not_among(names, name, f"gait '{name}' of the script is not among those of the drive")
-    steering = Steering(controller or Controller(robot, names, settings), script.at)
+    steering = Steering(controller or Controller(robot, names, settings, terrain), script.at)
     for command in script.commands:
         steering.controller.possible(command)
     driven.begin(steering, lambda t: script.at(t).height)
@@ -161,20 +163,14 @@ class Steering:
     Args:
         controller: the controller.
         command: the command at a time in s.
-
-    Attributes:
-        slack: largest violation of relaxed rows in any tick, natural units.
     """
 
     def __init__(self, controller: Controller, command: Callable[[float], Command]) -> None:
-        self.controller, self.command, self.slack = controller, command, 0.0
+        self.controller, self.command = controller, command
 
     def torque(self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray) -> np.ndarray:
         """Torques (nu,) at ``t`` s, see `Controller.step`."""
-        torque = self.controller.step(t, q, v, touching, self.command(t))
-        if self.controller.follower.last is not None:
-            self.slack = max(self.slack, self.controller.follower.last.slack)
-        return torque
+        return self.controller.step(t, q, v, touching, self.command(t))
 
 
 def base_velocity(scene: Scene, record: SimulationRecord) -> np.ndarray:

@@ -106,6 +106,27 @@ def test_durations_that_are_free_change_with_a_push(go2: Robot) -> None:
     assert abs(pushed - steady) > 0.05
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("heights", "run"), [((0.05, 0.1, 0.05, 0.0), 0.3), ((0.1, 0.0), 0.6)], ids=["stairs", "step"]
+)
+def test_a_robot_trots_up_and_down_ground_that_its_controller_knows(
+    heights: tuple[float, ...], run: float, go2: Robot
+) -> None:
+    """Stairs and a step of a third of its legs: it keeps its speed, rises by the height, and ends behind."""
+    terrain = PiecewiseTerrain.steps(heights, run, at=(DISTANCE, 0.0))
+    far = DISTANCE + run * (len(heights) - 1) + 0.4
+    driven = drive(go2, TROT, duration=0.2 + far / SPEED, terrain=terrain)
+    report, base = driven.report, driven.record.qpos
+    assert report.passed
+    assert report.mean_errors is not None
+    assert report.mean_errors.speed < 0.25 * NEAR
+    assert base[-1, 0] > far - 0.2
+    assert base[-1, 2] == pytest.approx(base[0, 2], abs=0.02)
+    rise = np.interp(DISTANCE + run, base[:, 0], base[:, 2]) - base[0, 2]
+    assert rise == pytest.approx(np.mean(heights[:2]), abs=0.04)
+
+
 def test_speeds_are_those_of_the_base(walk: DrivenMotion) -> None:
     q, period = walk.record.qpos, walk.timeline.period
     assert walk.velocity.shape == walk.commanded.shape == (2000, 3)

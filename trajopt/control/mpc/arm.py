@@ -10,6 +10,10 @@ plus costs of torques and accelerations. Limits of positions, rates and torques 
 Rows n . (x_i(q) - x_j(q)) >= margin keep pairs of bodies apart at all points of the horizon. The points x_i
 and x_j are where the pair comes closest in the last plan, and n is the normal between them (Schulman et al.,
 Int. J. Robotics Research 33, 2014, sec. V).
+
+At a tick, torques are those of the accelerations nearest to what the feedback wants, within limits of torques
+and of joints; a rate beyond its limit returns with the time constant `HORIZON`. Ticks without such
+accelerations are counted as relaxed (`ControllerReport.ticks`).
 """
 
 from __future__ import annotations
@@ -27,6 +31,7 @@ from trajopt.arguments import NonNegative, Positive, PositiveCount, checked
 from trajopt.collision.description import robot_shapes
 from trajopt.collision.near import CollisionScene, ShapePair
 from trajopt.collision.shapes import Obstacle
+from trajopt.control.inverse_dynamics import RELAXED, TaskSpaceInverseDynamics
 from trajopt.control.limits import RobotLimits
 from trajopt.control.mpc.follow import HORIZON
 from trajopt.control.mpc.horizon import Horizon, Numbers, Pattern
@@ -34,8 +39,11 @@ from trajopt.control.mpc.motion import FollowedSample, HorizonMotion, predicted,
 from trajopt.control.mpc.plans import FRESH, Plans, SolverSettings
 from trajopt.control.mpc.receding import RecedingHorizon
 from trajopt.control.mpc.shifting import resampled
+from trajopt.control.robot_state import RobotState
+from trajopt.control.tasks import PostureTask
 from trajopt.errors import InputError, finite_array, shown
 from trajopt.robot.contact import require_frame
+from trajopt.robot.natural_units import NaturalUnits
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.terms.context import Context
@@ -224,7 +232,9 @@ class ArmController(RecedingHorizon):
         self._iterate: _engine.Iterate | None = None
         self._begin = 0.0
         self._data = robot.model.createData()
-        self._limits = RobotLimits.of(robot, HORIZON)
+        self._limits, state = RobotLimits.of(robot, HORIZON), RobotState(robot.model, robot.joint_forces)
+        units = NaturalUnits.of(robot.model)
+        self._program = TaskSpaceInverseDynamics.of(state, robot.actuation, units)
 
     def _margins(self) -> np.ndarray:
         """Least distance (n,) of each pair, m; of two links at most that in the reference posture."""
@@ -248,15 +258,22 @@ class ArmController(RecedingHorizon):
                 state = predicted(motion, time, begin - time, state, self.settings.bandwidth)
             return self._plan(begin, *state, target, motion)
 
-        def torque(wanted: FollowedSample) -> np.ndarray:
-            w, model, limits = self.settings.bandwidth, self.robot.model, self._limits.at(q, v)
-            acceleration, rows = wanted.a.copy(), self.robot.actuated_rows
-            acceleration += w**2 * pin.difference(model, q, wanted.q) + 2 * w * (wanted.v - v)
-            acceleration[rows] = np.clip(acceleration[rows], *limits.acceleration)
-            inputs = self.robot.actuation.inputs(pin.rnea(model, self._data, q, v, acceleration))
-            return np.asarray(np.clip(inputs + limits.friction, *limits.torque))
+        return self._tick(time, lambda: make, lambda wanted: self._torque(wanted, q, v))
 
-        return self._tick(time, lambda: make, torque)
+    def _torque(self, wanted: FollowedSample, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Torques (nu,) of the accelerations within limits that are nearest to those of the feedback."""
+        w, limits, program = self.settings.bandwidth, self._limits.at(q, v), self._program
+        acceleration, rows = wanted.a.copy(), self.robot.actuated_rows
+        acceleration += w**2 * pin.difference(self.robot.model, q, wanted.q) + 2 * w * (wanted.v - v)
+        # Clipped here, too, for ticks whose program drops the limits of joints.
+        acceleration[rows] = np.clip(acceleration[rows], *limits.acceleration)
+        program.state.update(q, v)
+        task = PostureTask(q=q, v=v, a=acceleration, bandwidth=0.0, unit=program.acceleration_unit)
+        result = program.solve([], [task], limits)
+        self.report.followed(result)
+        if RELAXED[result.relaxed] != "everything":
+            return result.torque
+        return np.asarray(np.clip(program.held(w, wanted.q, wanted.v, wanted.torque), *limits.torque))
 
     def _plan(
         self, begin: float, q: np.ndarray, v: np.ndarray, target: ToolTarget, last: HorizonMotion | None

@@ -14,7 +14,7 @@ from typing_extensions import override
 from trajopt.control.mpc.clock import GaitClock
 from trajopt.control.mpc.commands import SPEEDS, STAND, Command
 from trajopt.control.mpc.gait_reference import GaitReference, RestingFeet, half_stance
-from trajopt.control.mpc.ground import GroundEstimate
+from trajopt.control.mpc.ground import GroundEstimate, KnownGround
 from trajopt.control.mpc.receding import ControllerSettings, LegsController
 from trajopt.control.mpc.reference import Reference
 from trajopt.errors import InputError
@@ -23,6 +23,7 @@ from trajopt.robot.legs import feet_in_base
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.schedule.gaits import Gait, gait_of
+from trajopt.terrain.piecewise import PiecewiseTerrain
 
 # Periods of gaits over sqrt(l / g); the least period and the least duration of a swing of any other gait.
 PERIODS = {"walk": 3.2, "trot": 2.0, "pace": 1.6, "bound": 1.6, "pronk": 2.0, "tripod": 2.0}
@@ -45,10 +46,18 @@ class Controller(LegsController[GaitClock]):
         robot: a robot with a free base and feet.
         gaits: names of the gaits that may be commanded; their horizons are built here.
         settings: settings of the plans and of the feedback.
+        terrain: ground that the controller knows; default: it estimates the ground from touchdowns.
+
+    Raises:
+        InputError: for known terrain under soles.
     """
 
     def __init__(
-        self, robot: Robot, gaits: tuple[str, ...] = ("trot",), settings: ControllerSettings | None = None
+        self,
+        robot: Robot,
+        gaits: tuple[str, ...] = ("trot",),
+        settings: ControllerSettings | None = None,
+        terrain: PiecewiseTerrain | None = None,
     ) -> None:
         chosen, unit = settings or ControllerSettings(), Units(robot).time
         self._resting = RestingFeet(robot, list(feet_in_base(robot)))
@@ -58,6 +67,11 @@ class Controller(LegsController[GaitClock]):
         self._asked = Command()
         self._velocity_integral = np.zeros(2)
         self.ground = GroundEstimate(len(self._feet), robot.length)
+        if terrain is not None:
+            if any(self._resting.soles):
+                raise InputError(f"robot '{robot.name}' has soles", "allowed: point feet on known terrain")
+            around = float(np.linalg.norm(self._resting.hips[:, :2], axis=1).max())
+            self.ground = KnownGround(len(self._feet), robot.length, around, terrain)
 
     @override
     def fresh(self) -> Self:

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajopt.arguments import NonNegative, Positive, checked
-from trajopt.control.inverse_dynamics import RELAXED, TaskSpaceInverseDynamics, TickResult
+from trajopt.control.inverse_dynamics import RELAXED, TaskSpaceInverseDynamics
 from trajopt.control.limits import RobotLimits
 from trajopt.control.mpc.motion import FollowedSample
 from trajopt.control.mpc.payload import carrying
+from trajopt.control.mpc.plans import ControllerReport
 from trajopt.control.quadratic_programs import QpSolverName
 from trajopt.control.robot_state import RobotState
 from trajopt.control.task_space import standing_contact
@@ -68,8 +69,7 @@ class Follower:
         self._limits = RobotLimits.of(robot, HORIZON)
         self._small = RegularisationTask(weight=SMALL, unit=self.acceleration_unit)
         self._legs = [self._rows_of(contact.frame) for contact in robot.contacts]
-        self.relaxed = [0] * len(RELAXED)
-        self.last: TickResult | None = None
+        self.report = ControllerReport()
 
     def _rows_of(self, frame: str) -> np.ndarray:
         """Rows of v of the joints between the base and a frame."""
@@ -97,8 +97,7 @@ class Follower:
         robot, standing = self.robot, np.flatnonzero(active)
         contacts = [standing_contact(robot, robot.contacts[i], self.friction) for i in standing]
         result = self._program.solve(contacts, self._tasks(wanted, active), self._limits.at(q, v))
-        self.relaxed[result.relaxed] += 1
-        self.last = result
+        self.report.followed(result)
         if RELAXED[result.relaxed] != "everything":
             return result.torque
         held = self._program.held(self.gains.joint / self.units.time, wanted.q, wanted.v, wanted.torque)

@@ -21,8 +21,6 @@ from trajopt.robot.legs import wheel_rows
 from trajopt.robot.robot import Robot
 from trajopt.terrain.flat import FlatGround
 
-# Factor on a foot's level error at the end of its swing, relative to the error of its height.
-PULL = 0.2
 # Largest motion of a contact, per unit of the base's, that counts as rolling.
 ROLLS = 1e-3
 
@@ -87,15 +85,15 @@ class GaitReference:
         number = self.feet.names.index(name)
         ends = np.array([swing.end for swing in self.swings[name]])
         place = self.foothold(number, float(ends[np.abs(ends - time).argmin()]))
-        return float(self.ground.height(*place) + self.feet.radius[number])
+        return float(place[2] + self.feet.radius[number])
 
     def foothold(self, number: int, time: float) -> np.ndarray:
-        """Foothold (2,) of a foot that lands ``time`` s from now, m: below its hip in mid stance."""
+        """Foothold (3,) of a foot that lands ``time`` s from now, m: below its hip in mid stance."""
         along, left = self._axes(np.array(time))
         stance = 0.0 if self.feet.names[number] in self.feet.wheels else self.half_stance
         ahead = self.command.speed * (time + stance), self.command.lateral * (time + self.half_stance)
         x, y = self.feet.hips[number][:2] + ahead
-        return np.asarray(self.base[:2] + x * along + y * left)
+        return self.ground.foothold(self.base[:2] + x * along + y * left)
 
     def rows(self, times: np.ndarray) -> np.ndarray:
         """The reference (n, size) at times (n,) from now, s."""
@@ -112,17 +110,17 @@ class GaitReference:
         rows[:, at.posture] = self.feet.posture
         for number, name in enumerate(self.feet.names):
             lift, foot = self.lifts[self.feet.soles[number]], at.foot(self.feet.numbers[number]).start
+            start = ground.places[number]
             for swing in self.swings[name]:
                 if swing.begin > last:
                     break
                 inside = np.flatnonzero((times >= swing.begin) & (times <= swing.end))
                 s = (times[inside] - swing.begin) / (swing.end - swing.begin)
                 goal = self.foothold(number, swing.end)
-                begin = ground.places[number, 2] if swing.begin <= 0 else ground.height(*goal)
-                base = begin + s * (ground.height(*goal) - begin) + self.feet.radius[number]
-                rows[inside, foot], rows[inside, foot + 1] = goal
-                rows[inside, foot + 2] = base + lift * 16 * s**2 * (1 - s) ** 2
-                rows[inside, foot + 3] = rows[inside, foot + 4] = PULL * s
+                path, pull = ground.swing(s, start if ground.mapped or swing.begin <= 0 else goal, goal)
+                path[:, 2] += self.feet.radius[number] + lift * 16 * s**2 * (1 - s) ** 2
+                rows[inside, foot : foot + 3], start = path, goal
+                rows[inside, foot + 3] = rows[inside, foot + 4] = pull
                 rows[inside, foot + 5] = 1.0
         return rows
 

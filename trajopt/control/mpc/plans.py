@@ -12,6 +12,7 @@ import numpy as np
 
 from trajopt import _engine
 from trajopt.arguments import Positive, PositiveCount, checked
+from trajopt.control.inverse_dynamics import RELAXED, TickResult
 from trajopt.control.mpc.horizon import Horizon
 from trajopt.control.mpc.motion import HorizonMotion
 
@@ -89,8 +90,10 @@ class ControllerReport:
         primal: row residual of each plan.
         missed: plans that were not ready in time.
         anew: plans that were lost, see `is_lost`.
-        relaxed: plans with scaled violations above `RELAXED`, by the name of the rows.
+        relaxed: plans with scaled violations above `VIOLATED`, by the name of the rows.
         violations: largest scaled violation, by the name of the rows.
+        ticks: ticks by what they relaxed, in the order of `trajopt.control.inverse_dynamics.RELAXED`.
+        slack: largest violation of a relaxed row in any tick, natural units.
     """
 
     planning: list[float] = field(default_factory=list)
@@ -102,6 +105,13 @@ class ControllerReport:
     anew: int = 0
     relaxed: dict[str, int] = field(default_factory=dict)
     violations: dict[str, float] = field(default_factory=dict)
+    ticks: list[int] = field(default_factory=lambda: [0] * len(RELAXED))
+    slack: float = 0.0
+
+    def followed(self, result: TickResult) -> None:
+        """Count the program of a tick."""
+        self.ticks[result.relaxed] += 1
+        self.slack = max(self.slack, result.slack)
 
     def solved(
         self, solver: SolverSettings, horizon: Horizon, iterate: _engine.Iterate, most: int
@@ -115,12 +125,12 @@ class ControllerReport:
         lost = is_lost(iterate, reports)
         self.anew += lost
         for name, violation in horizon.violations(iterate["x"]).items():
-            self.relaxed[name] = self.relaxed.get(name, 0) + (violation > RELAXED)
+            self.relaxed[name] = self.relaxed.get(name, 0) + (violation > VIOLATED)
             self.violations[name] = max(self.violations.get(name, 0.0), violation)
         return iterate, lost
 
 
-RELAXED = 1e-2  # scaled violation above which a row counts as relaxed
+VIOLATED = 1e-2  # scaled violation above which a row counts as relaxed
 # Makes the plan that is valid from a given time on, s.
 Make = Callable[[float], HorizonMotion]
 

@@ -109,7 +109,7 @@ class LegsController(RecedingHorizon, Generic[AnyClock]):
         self.planner = HorizonPlanner(robot, clock, settings.planner, friction=settings.friction)
         self.planner.prepare()
         self.follower = Follower(robot, settings.gains, friction=settings.friction)
-        self.planner.report = self.plans.report
+        self.planner.report = self.follower.report = self.plans.report
         self._now = 0.0
         self._touched = np.full(len(robot.contacts), -math.inf)
         self._feet = [robot.contacts.index(robot.contact(name)) for name in clock.contacts]
@@ -118,8 +118,8 @@ class LegsController(RecedingHorizon, Generic[AnyClock]):
     def fresh(self) -> Self:
         twin = super().fresh()
         twin.clock, twin.planner = self.clock.copy(), copy.copy(self.planner)
-        twin.planner.report = twin.plans.report
         twin.follower = Follower(self.robot, self.settings.gains, friction=self.settings.friction)
+        twin.planner.report = twin.follower.report = twin.plans.report
         return twin
 
     def carry(self, mass: float, place: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0)) -> None:

@@ -151,11 +151,16 @@ def _costs_and_limits(robot: Robot) -> tuple[Term, ...]:
     return (*effort_costs(), *limits, *contact_cones(robot.contacts))
 
 
+def first_edge(robot: Robot) -> float:
+    """x, m, at which ground ahead of the fore feet begins."""
+    feet = np.array(list(contact_positions(robot, robot.reference).values()))
+    return float(feet[:, 0].max()) + FROM_EDGE * robot.length
+
+
 @checked
 def obstacle(robot: Robot, kind: str, size: float, goal: Destination) -> PiecewiseTerrain:
     """A box of height or a gap of width ``size``, m, ahead of the fore feet; the goal is on or behind it."""
-    feet = np.array(list(contact_positions(robot, robot.reference).values()))
-    edge = float(feet[:, 0].max()) + FROM_EDGE * robot.length
+    feet, edge = np.array(list(contact_positions(robot, robot.reference).values())), first_edge(robot)
     if kind == "gap":
         return PiecewiseTerrain.gap(size, at=(edge, 0.0))
     length = goal.x + float(feet[:, 0].max()) + BEYOND * robot.length - edge

@@ -25,6 +25,7 @@ from trajopt.simulation.arm_drive import AXES, DELAY, PERIOD, ArmDrive, ToolStee
 from trajopt.simulation.driven_scene import DrivenScene
 from trajopt.simulation.lockstep import DrivenMotion, Steering
 from trajopt.simulation.simulated import SimulatedMotion
+from trajopt.terrain.piecewise import PiecewiseTerrain
 
 # Gaits prepared by default, in seconds each; if a robot has none of them, its first MOST_GAITS.
 USUAL_GAITS, MOST_GAITS = ("trot", "walk", "pace"), 2
@@ -63,6 +64,7 @@ class PageController(ABC, Generic[AnySteering]):
     Attributes:
         steering: the controller that follows what is set.
         obstacles: avoided by the robot.
+        terrain: ground; None where it is level.
         sliders, gaits: what the page can set.
         values, gait: what is set now.
     """
@@ -70,6 +72,7 @@ class PageController(ABC, Generic[AnySteering]):
     robot: Robot
     steering: AnySteering
     obstacles: tuple[Obstacle, ...] = ()
+    terrain: PiecewiseTerrain | None = None
 
     def __init__(self, sliders: Sequence[Slider], gaits: Sequence[str]) -> None:
         self.sliders, self.gaits = tuple(sliders), tuple(gaits)
@@ -136,6 +139,7 @@ class LegsDriver(PageController[Steering]):
         robot: with a free base and feet.
         gaits: to prepare; default: those of `USUAL_GAITS` that the robot has.
         settings: of the controller; default: a plan every `PERIOD` s, made in the loop.
+        terrain: ground that the robot touches and the controller knows; default: level ground.
 
     ``steering`` has the current controller, ``log`` the commands since the last begin with their times in s.
 
@@ -144,13 +148,18 @@ class LegsDriver(PageController[Steering]):
     """
 
     def __init__(
-        self, robot: Robot, gaits: Sequence[str] | None = None, settings: ControllerSettings | None = None
+        self,
+        robot: Robot,
+        gaits: Sequence[str] | None = None,
+        settings: ControllerSettings | None = None,
+        terrain: PiecewiseTerrain | None = None,
     ) -> None:
         if robot.base != "freeflyer":
             raise InputError(f"robot '{robot.name}' has a {robot.base} base", "allowed: a free base, on feet")
-        known, self.robot = gait_names(robot), robot
+        known, self.robot, self.terrain = gait_names(robot), robot, terrain
         names = tuple(gaits or [name for name in USUAL_GAITS if name in known] or known[:MOST_GAITS])
-        self._made = Controller(robot, names, settings or ControllerSettings(period=PERIOD, delay=DELAY))
+        chosen = settings or ControllerSettings(period=PERIOD, delay=DELAY)
+        self._made = Controller(robot, names, chosen, terrain)
         units = NaturalUnits.of(robot.model)
         part = 1.0 if len(robot.contacts) >= FEET else CAREFUL
         speed, impulse = part * units.length / units.time, units.weight * units.time

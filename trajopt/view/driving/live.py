@@ -9,6 +9,7 @@ from typing import Any
 from trajopt.collision import Obstacle
 from trajopt.robot.robot import Robot
 from trajopt.simulation.driven_scene import DrivenScene
+from trajopt.terrain.piecewise import PiecewiseTerrain
 from trajopt.view.driving.drawing import SOURCE, Painter, scene_of
 from trajopt.view.driving.drivers import ArmDriver, LegsDriver
 from trajopt.view.driving.server import DriveServer
@@ -33,6 +34,7 @@ class LiveDrive:
         gaits: to prepare; default: `USUAL_GAITS`.
         settings: of the controller, with ``target`` `ArmSettings`, otherwise `ControllerSettings`.
         obstacles: avoided by the arm.
+        terrain: known ground under a robot on legs; default: level ground.
         options: passed to `DriveSession`.
 
     Raises:
@@ -49,12 +51,13 @@ class LiveDrive:
         gaits: Sequence[str] | None = None,
         settings: Any = None,
         obstacles: Sequence[Obstacle] = (),
+        terrain: PiecewiseTerrain | None = None,
         **options: Any,
     ) -> None:
         server = DriveServer(port, f"{robot.name}: its shapes and its first plans are computed")
         try:
             arm = ArmDriver(robot, settings=settings, obstacles=obstacles) if target else None
-            self.session = DriveSession(arm or LegsDriver(robot, gaits, settings), **options)
+            self.session = DriveSession(arm or LegsDriver(robot, gaits, settings, terrain), **options)
             scene, facts = scene_of(self.session.stand, self.session.driver)
             self._painter = Painter(self.session)
             server.tell("state", self._painter.state())

@@ -51,7 +51,9 @@ class DriveSession:
     ) -> None:
         self.driver, self.clock = driver, clock or WallClock()
         settings = SimulationSettings(**{"control_rate": RATE, "rolling": True, **hardware})
-        self.driven = DrivenScene(driver.robot, settings, keep, obstacles=driver.obstacles)
+        self.driven = DrivenScene(
+            driver.robot, settings, keep, ground=driver.terrain, obstacles=driver.obstacles
+        )
         self._actions: deque[str] = deque()
         self._heard: float | None = None
         self.silent = False
