@@ -180,6 +180,20 @@ def test_forces_of_contacts_are_continuous_within_phases():
 
 
 @pytest.mark.slow
+def test_a_trot_repeats_its_accelerations():
+    solution = trajopt.solve(with_jerks(trajopt.load("quadruped-trot", robot="go2")))
+    assert solution.converged, solution.statistics.advice
+    report = trajopt.check(solution)
+    assert report.within()
+    assert jumps(solution, "a") < 1e-6
+    image = solution.description.periodicity
+    assert image is not None
+    joints = slice(6, None)
+    mapped = (image.sign * solution.a[0][image.index])[joints]
+    np.testing.assert_allclose(solution.a[-1][joints], mapped, atol=1e-5)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", ["go2", "solo12"])
 def test_a_leap_lifts_off_and_lands_without_a_jump_of_the_acceleration(robot):
     solution = trajopt.solve(with_jerks(trajopt.load("quadruped-jump-forward", robot=robot)))

@@ -105,8 +105,10 @@ class ClosingMap:
     translated: np.ndarray
 
 
-def closing_map(robot: Robot, periodicity: Periodicity, initial_q: np.ndarray) -> ClosingMap:
+def closing_map(robot: Robot, periodicity: Periodicity, initial_q: np.ndarray, order: int = 2) -> ClosingMap:
     """The linear rows of a periodicity, in the coordinates of a node (see ``manifold.Coordinates``).
+
+    Nodes of ``order`` 3 have accelerations, whose map is that of the rates.
 
     Raises `InputError` for a base that cannot turn or be mirrored in this way.
     """
@@ -130,9 +132,10 @@ def closing_map(robot: Robot, periodicity: Periodicity, initial_q: np.ndarray) -
     if robot.base == "freeflyer":
         fixed[:3] = (np.eye(3) - positions[:3, :3]) @ origin[n4 : n4 + 3]
     left_rotation, right_rotation = _rotation_rows(origin[:n4], periodicity)
-    left = _block(left_rotation, np.eye(len(additive)), np.eye(robot.nv))
-    right = _block(right_rotation, positions, rates)
-    before, after = np.zeros((len(left_rotation), 3)), np.zeros((robot.nv, 3))
+    derivatives = order - 1
+    left = _block(left_rotation, np.eye(len(additive)), *[np.eye(robot.nv)] * derivatives)
+    right = _block(right_rotation, positions, *[rates] * derivatives)
+    before, after = np.zeros((len(left_rotation), 3)), np.zeros((derivatives * robot.nv, 3))
     return ClosingMap(
         left=left,
         right=right,

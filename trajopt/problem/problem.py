@@ -126,7 +126,7 @@ class Problem:
             object.__setattr__(self, label, MappingProxyType(dict(getattr(self, label))))
         for term in self.terms:
             check_fields(term)
-        require_actuation(robot, schedule, self.actuation, self.initial_v)
+        require_actuation(robot, schedule, self.actuation, self.initial_v, tuple(self.modes))
         if self.actuation in ("torque", "jerk"):
             require_inertia(robot)
         require_phases(self.name, robot, schedule)

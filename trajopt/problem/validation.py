@@ -63,11 +63,18 @@ def require_phases(problem: str, robot: Robot, schedule: Schedule) -> None:
             robot.contact(contact)
 
 
-def require_actuation(robot: Robot, schedule: Schedule, actuation: str, initial_v: np.ndarray) -> None:
+def require_actuation(
+    robot: Robot, schedule: Schedule, actuation: str, initial_v: np.ndarray, modes: Sequence[str]
+) -> None:
     """Raise `InputError` for a start or a phase that a source of velocities or jerks cannot model."""
     impact = next((phase.name for phase in schedule.phases if phase.impact), None)
-    if actuation == "jerk" and impact:
-        raise InputError(f"phase '{impact}' begins with an impact, and jerks are the input", "allowed: none")
+    if actuation == "jerk" and (impact or modes):
+        what = (
+            f"phase '{impact}' begins with an impact"
+            if impact
+            else f"phase '{modes[0]}' has minimal coordinates"
+        )
+        raise InputError(f"{what}, and jerks are the input", "allowed: neither impacts nor modes")
     if actuation != "velocity":
         return
     if initial_v.any():

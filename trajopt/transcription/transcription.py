@@ -486,7 +486,7 @@ def _continuous(layout: Layout, before: int, after: int) -> LinearRows:
 def _closing(problem: Problem, layout: Layout, collocation: Collocation) -> LinearRows:
     """Rows left z_N - right z_0 - velocity * duration = constant, each in the unit of its entries."""
     assert problem.periodicity is not None
-    made = closing_map(problem.robot, problem.periodicity, problem.initial_q)
+    made = closing_map(problem.robot, problem.periodicity, problem.initial_q, layout.order)
     form, last = layout.forms[0], layout.forms[-1]
     scale = collocation.node_scale(form)
     state = np.setdiff1d(np.arange(form.size), form.time_scales)
