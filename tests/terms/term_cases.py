@@ -144,6 +144,28 @@ def velocity_limits(point: Point, term: Any) -> RowsOf:
     return point.dxi[6:], -limit, limit, point.units.velocity[6:]
 
 
+def acceleration_limits(point: Point, term: Any) -> RowsOf:
+    return point.ddxi[6:], -term.limit[6:], term.limit[6:], point.units.acceleration[6:]
+
+
+def jerk_limits(point: Point, term: Any) -> RowsOf:
+    return point.dddxi[6:], -term.limit[6:], term.limit[6:], point.units.jerk[6:]
+
+
+def of_joints(scale: Scale, order: int) -> np.ndarray:
+    """Limits (8,) of the hopper's joints, the derivatives of that order of an angle and a length."""
+    return np.array([INF] * 6 + [3.0, 2.0 * scale.length]) / scale.time**order
+
+
+def centre(point: Point) -> np.ndarray:
+    return pin.centerOfMass(point.robot.model, point.robot.model.createData(), point.q)
+
+
+def momentum(point: Point) -> np.ndarray:
+    model = point.robot.model
+    return pin.computeCentroidalMomentum(model, model.createData(), point.q, point.v).vector
+
+
 def torque_limits(point: Point, term: Any) -> RowsOf:
     return point.torque, -term.limit, term.limit, point.units.torque
 
@@ -377,6 +399,32 @@ CASES: dict[str, Case] = {
         lambda p, t: (p.dxi / p.units.velocity)[6:],
     ),
     "posture": cost(lambda s: terms.PostureCost(weight=2.0, q=goal(s)), posture),
+    "posture of a joint": cost(
+        lambda s: terms.PostureCost(weight=2.0, q=goal(s), joints=("shank",)), lambda p, t: posture(p, t)[1:]
+    ),
+    "jerk": cost(lambda s: terms.JerkCost(weight=2.0), lambda p, t: p.dddxi / p.units.jerk, actuation="jerk"),
+    "centre of mass along a path": cost(
+        lambda s: terms.CentreOfMassCost(weight=2.0, path=lambda t: PLACE * s.length, axes="zx"),
+        lambda p, t: ((centre(p) - PLACE * p.scale.length) / p.units.length)[[0, 2]],
+    ),
+    "momentum cost": cost(
+        lambda s: terms.MomentumCost(weight=2.0, part="angular"),
+        lambda p, t: momentum(p)[3:] / p.units.torque / p.units.time,
+    ),
+    "centre of mass": rows(
+        lambda s: terms.CentreOfMass(position=PLACE * s.length, axes="yz", **at_middle),
+        lambda p, t: (centre(p)[1:], t.position[1:], t.position[1:], p.units.length),
+        node=node,
+    ),
+    "momentum": rows(
+        lambda s: terms.Momentum(part="linear", momentum=PLACE * s.mass * s.length / s.time, **at_middle),
+        lambda p, t: (momentum(p)[:3], t.momentum, t.momentum, p.units.force * p.units.time),
+        node=node,
+    ),
+    "acceleration limits": rows(
+        lambda s: terms.AccelerationLimits(limit=of_joints(s, 2)), acceleration_limits
+    ),
+    "jerk limits": rows(lambda s: terms.JerkLimits(limit=of_joints(s, 3)), jerk_limits, actuation="jerk"),
     "wrench": cost(lambda s: terms.WrenchCost(weight=2.0), wrench),
     "wrench of a sole": cost(lambda s: terms.WrenchCost(weight=2.0), wrench, robot=sole),
     "time": cost(lambda s: terms.TimeCost(weight=2.0), lambda p, t: np.ones(1)),

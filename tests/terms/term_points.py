@@ -107,6 +107,7 @@ class Point:
     xi: np.ndarray
     dxi: np.ndarray
     ddxi: np.ndarray
+    dddxi: np.ndarray
     q: np.ndarray
     v: np.ndarray
     a: np.ndarray
@@ -276,17 +277,22 @@ class Evaluated:
             wrench[rows] = size * random.uniform(-0.5, 1.0, len(rows)) * units.wrench[rows]
         held = [wrench[list(contact.rows)] for contact in contacts.values()]
         order = 1 if place is Place.IMPACT else 2
+        jerks = self.case.actuation == "jerk" and place is Place.POINT
+        third = size * random.uniform(-0.5, 0.5, self.robot.nv) * units.jerk
         velocity_source = self.case.actuation == "velocity"
         second = [] if velocity_source or place is Place.NODE else [ddxi * TIME_SCALE**order]
         start = xi[coordinates.additive_index] if place is Place.NODE else xi
         rates = [] if velocity_source and place is Place.NODE else [dxi * TIME_SCALE]
+        second += [third * TIME_SCALE**3] if jerks else []
         z = np.concatenate([rotations, start, *rates, *second, *held, [TIME_SCALE]])
         after = dxi + ddxi if place is Place.IMPACT else dxi
         q, v, a = self._pinocchio(rotations, xi, after, ddxi)
         if place is Place.IMPACT:
             a = self._pinocchio(rotations, xi, np.zeros_like(dxi), ddxi)[2]
         a = np.zeros_like(a) if velocity_source else a
-        surface = self.case.surface(self.scale)
-        return z, Point(
-            self.robot, self.scale, surface, xi, dxi, ddxi, q, v, a, wrench, place, self.case.actuation, units
+        surface, actuation, motion = (
+            self.case.surface(self.scale),
+            self.case.actuation,
+            (xi, dxi, ddxi, third),
         )
+        return z, Point(self.robot, self.scale, surface, *motion, q, v, a, wrench, place, actuation, units)

@@ -1,12 +1,14 @@
 """Costs and constraints, one idea per file.
 
 Dynamics: `BaseDynamics`, `ContactAcceleration`, `ContactVelocity`, `ImpactDynamics`.
-Limits: `PositionLimits`, `VelocityLimits`, `TorqueLimits`, `DriveLimits`.
+Limits: `PositionLimits`, `VelocityLimits`, `TorqueLimits`, `DriveLimits`, `AccelerationLimits`, `JerkLimits`.
 Contact forces: `FrictionCone`, `FrictionPyramid`, `NormalForce`, `SoleCone`, `SoleLimits`, `SlidingFriction`.
 Running costs: `AccelerationCost`, `VelocityCost`, `PostureCost`, `TorqueCost`, `MotorTorqueCost`,
-    `WrenchCost`, `PowerCost`, `TrackingCost`, `TimeCost`; `ImpulseCost` at impacts.
+    `WrenchCost`, `PowerCost`, `TrackingCost`, `TimeCost`, `JerkCost`, `CentreOfMassCost`, `MomentumCost`;
+    `ImpulseCost` at impacts.
 Constraints at nodes: `ContactLanding`; `FramePose`, `FrameHeight`, `FrameVelocity`, `FrameDirection`,
-    `FramesAbove`; `TerminalState`, `TerminalRest`, `TerminalVelocity`, `TerminalPosture`.
+    `FramesAbove`; `CentreOfMass`, `Momentum`; `TerminalState`, `TerminalRest`, `TerminalVelocity`,
+    `TerminalPosture`.
 Swings: `SwingClearance` within phases and `SwingArc` across phases, over flat or smooth ground; `SwingOver`
     ground with edges; `swing_arcs` and `swing_clearance` create them for a whole schedule.
 Costs at nodes: `FrameHeightCost`, `DistanceCost`.

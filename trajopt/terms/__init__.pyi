@@ -63,3 +63,7 @@ from .terminal import TerminalState as TerminalState
 from .terminal import TerminalVelocity as TerminalVelocity
 from .terminal import free_directions as free_directions
 from .tracking import TrackingCost as TrackingCost
+from .whole_body import CentreOfMass as CentreOfMass
+from .whole_body import CentreOfMassCost as CentreOfMassCost
+from .whole_body import Momentum as Momentum
+from .whole_body import MomentumCost as MomentumCost

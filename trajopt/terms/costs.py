@@ -13,6 +13,9 @@ import numpy as np
 from typing_extensions import override
 
 from trajopt.arguments import NonNegative, UnitVector, checked
+from trajopt.dynamics.model_quantities import joints_of_rows
+from trajopt.errors import not_among
+from trajopt.robot.legs import wheel_rows
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.schedule.schedule import Schedule
@@ -109,14 +112,19 @@ class PostureCost(Cost):
 
         w |(xi_j - xi_j*) / u|^2 / n
 
-    over the n actuated coordinates that are not rotations, with the unit u of each, l or 1 rad.
+    over n actuated coordinates that are not rotations, with the unit u of each, l or 1 rad.
 
     Args:
         weight: w, dimensionless.
         q: the posture (nq,) of the whole robot, m and rad; default the robot's reference.
+        joints: names of joints; default all actuated ones except wheels, which turn without end.
+
+    Raises:
+        InputError: for a joint that is not actuated.
     """
 
     q: np.ndarray | None = None
+    joints: tuple[str, ...] | None = None
 
     @override
     def residual(self, context: Context, units: Units) -> ca.SX:
@@ -125,10 +133,23 @@ class PostureCost(Cost):
         node = coordinates.node_from_pinocchio(q, np.zeros(robot.nv))
         n4 = 4 * coordinates.n_rotations
         additive = coordinates.additive_index
-        joints = [(i, node[n4 + row]) for row, i in enumerate(additive) if i in robot.actuated_rows]
+        rows = self._rows(robot)
+        joints = [(i, node[n4 + row]) for row, i in enumerate(additive) if i in rows]
         target = context.parameter(np.array([value for _, value in joints]))
         selected = ca.vertcat(*[context.xi[int(i)] for i, _ in joints])
         return (selected - target) / units.position[[i for i, _ in joints]]
+
+    def _rows(self, robot: Robot) -> list[int]:
+        """Actuated rows of v of the joints."""
+        rows = robot.actuated_rows.tolist()
+        if self.joints is None:
+            return [row for row in rows if row not in wheel_rows(robot).values()]
+        owners = joints_of_rows(robot.model)
+        known = list(dict.fromkeys(owners[row] for row in rows))
+        for name in self.joints:
+            if name not in known:
+                raise not_among(known, name, f"joint '{name}' of {self.name} is not actuated")
+        return [row for row in rows if owners[row] in self.joints]
 
 
 @checked
