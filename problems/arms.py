@@ -49,6 +49,13 @@ class Arm:
         return np.array(self.robot.model.jointPlacements[1].translation)
 
     @property
+    def joints(self) -> int:
+        """Degrees of freedom that move the tool."""
+        model = self.robot.model
+        carrier = model.frames[model.getFrameId(self.tool)].parentJoint
+        return sum(model.joints[joint].nv for joint in model.supports[carrier] if joint)
+
+    @property
     def at_reference(self) -> pin.SE3:
         """Pose of the tool in the reference posture, world."""
         return frame_pose(self.robot, self.robot.reference, self.tool)
@@ -122,11 +129,11 @@ class Arm:
 
     def allowed(self, usual: str) -> str:
         """What is allowed where the tool's pose is not reached: with few joints, hardly any pose."""
-        joints = self.robot.nv
-        if joints >= POSE_ROWS:
+        if self.joints >= POSE_ROWS:
             return f"allowed: {usual}"
         return (
-            f"a pose has six rows, three of place and three of turn, and '{self.robot.name}' {joints} joints;"
+            "a pose has six rows, three of place and three of turn, and"
+            f" '{self.robot.name}' {self.joints} joints;"
             f" allowed: arms with six joints; for the place alone arm-reach with {ORIENTATION}={FREE}"
         )
 
@@ -159,11 +166,12 @@ def least_duration(robot: Robot, postures: Sequence[np.ndarray], *, weight: bool
         if np.isinf(robot.velocity_limit).all():  # accelerate by one natural unit
             return float(np.sqrt(PEAK_ACCELERATION * travel.max()) * Units(robot).time)
         return float(by_rate.max())
-    held = np.abs([pin.computeGeneralizedGravity(model, data, q) for q in postures]).max(axis=0)
+    held, rows = [pin.computeGeneralizedGravity(model, data, q) for q in postures], robot.actuated_rows
     # If the motors cannot hold a posture, the problem is infeasible for any guess.
-    spare = np.maximum(robot.torque_limit - weight * held, LEAST_SPARE * robot.torque_limit)
+    left = robot.torque_limit - weight * np.abs(held).max(axis=0)[rows]
+    spare = np.maximum(left, LEAST_SPARE * robot.torque_limit)
     inertia = np.diag(pin.crba(model, data, postures[0]))
-    by_torque = np.sqrt(PEAK_ACCELERATION * travel * inertia / spare)
+    by_torque = np.sqrt(PEAK_ACCELERATION * (travel * inertia)[rows] / spare)
     return float(max(by_rate.max(), by_torque.max()))
 
 
