@@ -33,6 +33,8 @@ HAND = re.compile("hand|grip|finger|thumb|palm|wrist|nub", re.IGNORECASE)
 # Points of a foot this little above its lowest one are its sole, if it is at least that long; a frame at most
 # that far above it is the centre of a ball. All over the height of the robot.
 SOLE_LAYER, SOLE_LENGTH, BALL_HEIGHT = 0.003, 0.08, 0.1
+# Least cosine of the angle by which a leg leans while it stands on its rounded end.
+LEAN = 0.5
 # A frame this near to the centre of a ball or wheel is at it, m.
 SAME_PLACE = 1e-6
 # Number of widths from which the largest rectangle in a sole is chosen, and its least half side, m.
@@ -239,9 +241,11 @@ class _LimbSearch:
         radius = float(points[lowest, 3])
         if radius > SOLE_LAYER * self.height:  # a ball, and not the rounding of a hull
             return Contact(frame=self._frame(tip, "ball", points[lowest, :3], frames), radius=radius)
-        above = float(place[2] - heights[lowest])
-        if 0 < above <= BALL_HEIGHT * self.height:
-            return Contact(frame=tip, radius=round(above, 4))
+        ways = points[:, :3] - place  # of the rounded end of a leg around the frame
+        far = np.linalg.norm(ways, axis=1)
+        radius = float((far + points[:, 3])[-ways[:, 2] > LEAN * far].max(initial=0.0))
+        if 0 < radius <= BALL_HEIGHT * self.height:
+            return Contact(frame=tip, radius=round(radius, 4))
         return Contact(frame=self._frame(tip, "point", points[lowest, :3], frames))
 
     def _wheel(self, joint: int, tip: str, frames: dict[str, AddedFrame]) -> Contact:

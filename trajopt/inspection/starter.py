@@ -19,25 +19,27 @@ from trajopt.inspection.posture import bent_arm, standing
 from trajopt.robot.building import locked_model, torque_limit_of, velocity_limit_of
 from trajopt.robot.contact import Contact
 from trajopt.robot.coupling import Coupling, couplings_of
-from trajopt.robot.data import VisualSource, package_directories
+from trajopt.robot.data import DATA_PACKAGE, VisualSource, package_directories
 from trajopt.robot.joint_checks import without_zero_limits
 from trajopt.robot.reading import read_urdf
 from trajopt.robot.robot import Robot
 
 # A description this many folders up is given by its absolute path.
 FAR_FOLDER = ("..", "..", "..")
+# Descriptions of the robot data package, as files name them.
+SHIPPED = f"{DATA_PACKAGE}/robots/"
 FRAMES = """# Frames that the description lacks: what each is fixed to, place, m, and turn (rpy), rad, in it.
 FRAMES = {{
 {}}}
 """
+SHAPED = """[
+{}        ]"""
 ZEROS = "    return without_zero_limits(robot, REFERENCE)  # zeros of the file stand for no limit\n"
 TEMPLATE = '''"""Robot "{name}" of {source}. Feet and posture are guesses from geometry: edit them."""
 
-from pathlib import Path
-
-from trajopt import {imported}
-
-{kind} = Path(__file__).parent / "{file}"
+{path}from trajopt import {imported}
+{helpers}
+{kind} = {place}
 {tool}{frames}# The standing posture by joint, rad (m where a joint slides); the limits beside it.
 REFERENCE = {{
 {reference}
@@ -126,46 +128,52 @@ def starter(robot: Robot, target: Path) -> str:
     """Return the text of a Python file, to be written at ``target``, that builds ``robot`` from its file."""
     if robot.visual is None:
         raise InputError(f"robot '{robot.name}' was not read from a file", "a robot of Robot.from_urdf")
-    urdf, reader = robot.visual.urdf, "mjcf" if robot.visual.is_mjcf else "urdf"
-    limbs = limbs_of(urdf)
-    described = (*limbs.coupled, *limbs.undriven, *limbs.wheels)
-    locked = [joint for joint in described if not robot.model.existJointName(joint)]
-    near = Path(os.path.relpath(urdf, target.absolute().parent))
-    file = (urdf if near.parts[: len(FAR_FOLDER)] == FAR_FOLDER else near).as_posix()
-    tool = ""
+    urdf, limbs, zeros = robot.visual.urdf, limbs_of(robot.visual.urdf), _has_zeros(robot)
+    guessed = (*limbs.coupled, *limbs.undriven, *limbs.wheels)
+    locked = [joint for joint in guessed if not robot.model.existJointName(joint)]
+    frames = {n: f for n, f in limbs.frames.items() if robot.model.existFrame(n)}
+    tool, reader = "", "mjcf" if robot.visual.is_mjcf else "urdf"
     if robot.base == "fixed":
         end = tool_joint(robot.model)
         last = [f.name for f in robot.model.frames if f.parentJoint == end > 0]
         tool = f'KIND, TOOL = "arm", "{last[-1]}"\n' if last else ""
-    frames = {n: f for n, f in limbs.frames.items() if robot.model.existFrame(n)}
     contacts = [_contact(contact) for contact in robot.contacts]
     shaped = any(contact.startswith("Contact") for contact in contacts)
-    listed = ", ".join(contacts)
-    if shaped:
-        listed = "".join(f"\n            {contact}," for contact in contacts) + "\n        "
-    zeros = _has_zeros(robot)
-    imports = "\nfrom trajopt.robot import without_zero_limits" * zeros
+    added = "".join(f'    "{name}": {json.dumps(frame)},\n' for name, frame in frames.items())
+    place = _place(urdf, target)
+    helpers = [name for name in ("robot_file",) if place.startswith(name)] + ["without_zero_limits"] * zeros
     return TEMPLATE.format(
-        result="robot = " if zeros else "return ",
-        unlimited=ZEROS * zeros,
-        posture="" if zeros else "\n        reference=REFERENCE,",
         name=robot.name,
-        kind=reader.upper(),
-        reader=reader,
-        locked=f"\n        locked={json.dumps(locked)}," if locked else "",
-        file=file,
         source=urdf.name,
+        path="" if place.startswith("robot_file") else "from pathlib import Path\n\n",
+        imported="Contact, Robot" if shaped else "Robot",
+        helpers=f"from trajopt.robot import {', '.join(helpers)}\n" if helpers else "",
+        kind=reader.upper(),
+        place=place,
         tool=tool,
-        base=robot.base,
-        contacts=f"[{listed}]",
-        frames=FRAMES.format(
-            "".join(f'    "{n}": {str(f).replace(chr(39), chr(34))},\n' for n, f in frames.items())
-        )
-        * bool(frames),
-        placed="\n        frames=FRAMES," if frames else "",
-        imported=("Contact, Robot" if shaped else "Robot") + imports,
+        frames=FRAMES.format(added) if frames else "",
         reference="\n".join(_entries(robot)),
+        result="robot = " if zeros else "return ",
+        reader=reader,
+        base=robot.base,
+        contacts=SHAPED.format("".join(f"            {each},\n" for each in contacts))
+        if shaped
+        else f"[{', '.join(contacts)}]",
+        placed="\n        frames=FRAMES," if frames else "",
+        posture="" if zeros else "\n        reference=REFERENCE,",
+        locked=f"\n        locked={json.dumps(locked)}," if locked else "",
+        unlimited=ZEROS if zeros else "",
     )
+
+
+def _place(urdf: Path, target: Path) -> str:
+    """The path of a description as Python: within the robot data package, beside the file, or absolute."""
+    shipped = VisualSource(urdf=Path(os.path.normpath(urdf))).to_meta()["urdf"]
+    if shipped.startswith(SHIPPED):
+        return f'robot_file("{shipped.removeprefix(SHIPPED)}")'
+    near = Path(os.path.relpath(urdf, target.absolute().parent))
+    file = (urdf if near.parts[: len(FAR_FOLDER)] == FAR_FOLDER else near).as_posix()
+    return f'Path(__file__).parent / "{file}"'
 
 
 def _has_zeros(robot: Robot) -> bool:
