@@ -28,9 +28,9 @@ FOOT_ERROR = 1e-6
 CENTRINGS = 6
 # An arm is bent if the least singular value of its tool's Jacobian over the largest is below the first.
 # Joints turn in steps, rad, within the inner part of their limits, links keep a distance, m, and torques at
-# rest are at most a fraction of their limits; excess of that fraction counts by a weight.
+# rest are at most a fraction of their limits; what is missed counts by weights.
 SINGULAR, STEPS, INNER, APART = 0.05, (0.5, -0.5, 1.0, -1.0, 1.5, -1.5), 0.9, 0.01
-HELD, OVERLOAD, LEAST_TORQUE = 0.8, 10.0, 1e-3
+HELD, OVERLOAD, CLEAR, LEAST_TORQUE = 0.8, 10.0, 10.0, 1e-3
 # Passes over all joints, and the least improvement.
 BETTER = 1e-6
 SWEEPS = 3
@@ -135,9 +135,8 @@ def _bent_leg(robot: Robot, q: np.ndarray, contact: Contact, part: float, forwar
 def bent_arm(robot: Robot) -> Robot:
     """The arm away from its limits, and bent in steps so that it moves its tool in all directions.
 
-    Joints whose limits leave out zero begin in the middle. Links stay apart and, if they are so at first,
-    above the ground; torques at rest stay within their limits if they can. A robot with a keyframe is
-    returned as it is.
+    Joints whose limits leave out zero begin in the middle. Links are apart and above the ground, and torques
+    at rest within their limits, if they can. A robot with a keyframe is returned as it is.
     """
     model, joint = robot.model, tool_joint(robot.model)
     if not joint or _has_keyframe(robot):
@@ -145,9 +144,8 @@ def bent_arm(robot: Robot) -> Robot:
     search, q = _ArmSearch(robot, joint), _off_limits(robot)
     values = search.values(q)
     over = {j for j in range(1, model.njoints) if search.overload(q)[model.joints[j].idx_v]}
-    if values[-1] >= SINGULAR * values[0] and not over:
+    if values[-1] >= SINGULAR * values[0] and not over and search.clear(q) == 1:
         return replace(robot, reference=q)
-    search.close = min(APART, search.distance(q))
     loaded = [j for j in range(1, model.njoints) if over & set(model.supports[j])]
     moved = dict.fromkeys((*(int(j) for j in model.supports[joint] if j), *loaded))
     leaders = {each.joint: model.getJointId(each.mimics) for each in robot.mimics}
@@ -165,10 +163,10 @@ def bent_arm(robot: Robot) -> Robot:
 
 
 class _ArmSearch:
-    """Figures of an arm's postures q (nq,); links keep the distance ``close``, m."""
+    """Figures of an arm's postures q (nq,)."""
 
     def __init__(self, robot: Robot, joint: int) -> None:
-        self.robot, self.model, self.data, self.close = robot, robot.model, robot.model.createData(), APART
+        self.robot, self.model, self.data = robot, robot.model, robot.model.createData()
         self.scene = robot_shapes(robot).scene(robot.model, FlatGround())
         self.tool = max(i for i, frame in enumerate(robot.model.frames) if frame.parentJoint == joint)
 
@@ -181,9 +179,10 @@ class _ArmSearch:
         moving = np.vstack([moving[:3] / self.robot.length, moving[3 : 6 if count >= 6 else 3]])
         return np.asarray(np.linalg.svd(moving, compute_uv=False))
 
-    def distance(self, q: np.ndarray) -> float:
-        """Least distance of links that must not touch, m."""
-        return float(self.scene.distances_at(q).min(initial=np.inf)) if self.scene.pairs else np.inf
+    def clear(self, q: np.ndarray) -> float:
+        """Least distance of links that must not touch, over the one that they should keep, at most 1."""
+        distances = self.scene.distances_at(q) if self.scene.pairs else np.zeros(0)
+        return float(distances.min(initial=APART) / APART)
 
     def overload(self, q: np.ndarray) -> np.ndarray:
         """Torques at rest (nv,) over their limits, less the fraction that they may have."""
@@ -194,10 +193,9 @@ class _ArmSearch:
         return over
 
     def score(self, q: np.ndarray) -> float:
-        """How well the tool moves and how little motors are overloaded; -inf for links that are too close."""
-        if self.distance(q) < self.close:
-            return -np.inf
-        return float(np.log(self.values(q) + SINGULAR).sum() - OVERLOAD * self.overload(q).sum())
+        """How well the tool moves, how clear links are and how little motors are overloaded."""
+        moves = float(np.log(self.values(q) + SINGULAR).sum())
+        return moves + CLEAR * self.clear(q) - OVERLOAD * float(self.overload(q).sum())
 
 
 def _inner(robot: Robot, index: int) -> tuple[float, float]:
