@@ -47,7 +47,7 @@ def build(
             f"allowed: one of them; roll, pitch and yaw need {arms.ORIENTATION}={arms.GIVEN}",
         )
     goal, posture = _goal(arm, tuple(place[axis] for axis in "xyz"), turn, turned)
-    end = posture.q if not turned or arm.joints >= arms.POSE_ROWS else arm.reached(posture, goal)
+    end = posture.q if not turned or arm.robot.nv >= arms.POSE_ROWS else arm.reached(posture, goal)
     ends = (arm.robot.reference, end)
     least = arms.least_duration(arm.robot, ends)
     if not (duration or least > 0):

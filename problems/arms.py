@@ -49,13 +49,6 @@ class Arm:
         return np.array(self.robot.model.jointPlacements[1].translation)
 
     @property
-    def joints(self) -> int:
-        """Degrees of freedom that move the tool."""
-        model = self.robot.model
-        carrier = model.frames[model.getFrameId(self.tool)].parentJoint
-        return sum(model.joints[joint].nv for joint in model.supports[carrier] if joint)
-
-    @property
     def at_reference(self) -> pin.SE3:
         """Pose of the tool in the reference posture, world."""
         return frame_pose(self.robot, self.robot.reference, self.tool)
@@ -129,11 +122,11 @@ class Arm:
 
     def allowed(self, usual: str) -> str:
         """What is allowed where the tool's pose is not reached: with few joints, hardly any pose."""
-        if self.joints >= POSE_ROWS:
+        joints = self.robot.nv
+        if joints >= POSE_ROWS:
             return f"allowed: {usual}"
         return (
-            "a pose has six rows, three of place and three of turn, and"
-            f" '{self.robot.name}' {self.joints} joints;"
+            f"a pose has six rows, three of place and three of turn, and '{self.robot.name}' {joints} joints;"
             f" allowed: arms with six joints; for the place alone arm-reach with {ORIENTATION}={FREE}"
         )
 
@@ -145,9 +138,18 @@ class Arm:
 
 
 def load(name: str | Robot) -> Arm:
-    """Return the arm of that name. Raises InputError if it is not an arm, or has joints that cannot move."""
+    """Return the arm of that name; joints that do not move its tool are locked at the reference.
+
+    Raises InputError if it is not an arm, or has joints that cannot move.
+    """
     robot = robots.load(name)
-    arm = Arm(robot=robot, tool=robots.tool_frame(name, robot))
+    tool = robots.tool_frame(name, robot)
+    model = robot.model
+    moving = {model.names[j] for j in model.supports[model.frames[model.getFrameId(tool)].parentJoint]}
+    moving |= {mimic.mimics for mimic in robot.mimics if mimic.joint in moving}
+    moving |= {mimic.joint for mimic in robot.mimics if mimic.mimics in moving}
+    idle = [joint for joint in list(model.names)[1:] if joint not in moving]
+    arm = Arm(robot=robot.with_locked(idle) if idle else robot, tool=tool)
     require_moving(arm.robot)
     return arm
 

@@ -124,20 +124,20 @@ class _LimbSearch:
         lowest = min(self.bottom, self.trunk) + HAND_HEIGHT * self.height
         wheels = [end for end in bottom if self.low[end] <= lowest and self._is_wheel(end)]
         wheels = wheels if len(wheels) > 1 else []  # one alone is a flywheel
+        is_arm = len(set(self.ends) - set(wheels)) == 1
         rotors = [
             end for end in self.ends if self._turns_endlessly(end) and abs(self._axis(end)[2]) > UPRIGHT
         ]
-        feet = [end for end in bottom if end in wheels or not HAND.search(self._tip(end))]
-        feet = [end for end in feet if end not in rotors]
+        feet = [end for end in bottom if end not in rotors]
+        feet = [end for end in feet if end in wheels or not HAND.search(self._tip(end))]
+        feet = wheels if is_arm else feet
         on_legs = any(foot not in wheels or len(self.model.supports[foot]) > LEG_JOINTS + 2 for foot in feet)
-        is_arm = self._is_arm(set(wheels))
         free = {*wheels, *rotors} >= set(self.ends)  # also without any
         is_fixed = not free and (is_arm or self.trunk <= band or not on_legs)
         undriven = self._undriven(set() if is_fixed else set(bottom))
         rolling = self._carrying(set(wheels)) if is_fixed else set(wheels)
         named = [tuple(str(self.model.names[j]) for j in sorted(each)) for each in (rolling, undriven)]
         frames: dict[str, AddedFrame] = {}
-        feet = wheels if is_arm else feet
         contacts = [self._contact(foot, foot in wheels, frames) for foot in feet]
         return Limbs(
             wheels=named[0], undriven=named[1], is_fixed=is_fixed, contacts=tuple(contacts), frames=frames
@@ -171,15 +171,6 @@ class _LimbSearch:
         frames = self.model.frames
         bodies = (str(f.name) for f in frames if f.parentJoint == joint and f.type == pin.FrameType.BODY)
         return next(bodies, self._tip(joint))
-
-    def _is_arm(self, wheels: set[int]) -> bool:
-        """Whether all joints but wheels form one chain, with at most a light hand at its end."""
-        branches, chain = [child for child in self.children[0] if child not in wheels], list[int]()
-        while len(branches) == 1:
-            chain.append(branches[0])
-            branches = self.children[branches[0]]
-        mass = self.data.mass
-        return bool(chain) and sum(mass[each] for each in branches) <= HAND_MASS * mass[chain[0]]
 
     def _axis(self, joint: int) -> np.ndarray:
         """World axis (3,) of a joint of one degree of freedom; zero where it slides."""

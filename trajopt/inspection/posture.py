@@ -146,12 +146,12 @@ def bent_arm(robot: Robot) -> Robot:
     over = {j for j in range(1, model.njoints) if search.overload(q)[model.joints[j].idx_v]}
     if values[-1] >= SINGULAR * values[0] and not over and search.clear(q) == 1:
         return replace(robot, reference=q)
-    loaded = [j for j in range(1, model.njoints) if over & set(model.supports[j])]
-    moved = dict.fromkeys((*(int(j) for j in model.supports[joint] if j), *loaded))
+    loaded = {j for j in range(1, model.njoints) if over & set(model.supports[j])}
+    moved = [j for j in range(1, model.njoints) if any(j in model.supports[k] for k in (joint, *loaded))]
     leaders = {each.joint: model.getJointId(each.mimics) for each in robot.mimics}
-    moved = dict.fromkeys(leaders.get(model.names[j], j) for j in moved)
+    moved = list(dict.fromkeys(leaders.get(model.names[j], j) for j in moved))
     best, start = search.score(q), q
-    for one in (model.joints[j] for _ in range(SWEEPS) for j in moved if model.joints[j].nq == 1):
+    for one in (model.joints[j] for j in SWEEPS * moved if model.joints[j].nq == 1):
         lower, upper = _inner(robot, one.idx_q)
         for step in STEPS:
             turned = q.copy()
