@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from trajopt.collision.description import robot_shapes
+from trajopt.collision import robot_shapes
 from trajopt.errors import InputError
 from trajopt.problem import Family, Problem
 from trajopt.problem.bodies import GAP_SLACK
