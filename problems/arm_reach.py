@@ -7,7 +7,7 @@ import pinocchio as pin
 
 from trajopt.errors import InputError
 from trajopt.problem import Family, Parameter, Problem
-from trajopt.robot import Posture, inverse_kinematics
+from trajopt.robot import Posture, frame_pose, inverse_kinematics
 from trajopt.terms import AccelerationCost, TorqueCost
 
 from . import arms, common
@@ -15,7 +15,11 @@ from . import arms, common
 # The default goal is the tool of the reference posture turned about the base and raised.
 TURN = math.radians(60)
 UP = 0.15  # of the reach
-PLACE = "goal of the tool, world (default: the start turned by 60 degrees and raised by 0.15 reach)"
+PARTS = (1.0, 0.5, 0.25, 0.125)
+PLACE = (
+    "goal of the tool, world (default: the start turned by 60 degrees and raised by 0.15 reach,"
+    " or the largest part of it that the arm reaches)"
+)
 # Default duration over the least duration estimated from the limits.
 UNHURRIED = 2.0
 
@@ -70,7 +74,7 @@ def _goal(
     arm: arms.Arm, given: tuple[float | None, ...], turn: np.ndarray, turned: bool
 ) -> tuple[pin.SE3, Posture]:
     """Return the pose of the tool and a posture there, or as near as inverse kinematics get."""
-    default = arm.pose(TURN, 0.0, UP).translation
+    default = _default(arm, turned) if given == (None,) * 3 else arm.pose(TURN, 0.0, UP).translation
     position = np.where([coordinate is None for coordinate in given], default, np.array(given, dtype=float))
     distance = float(np.linalg.norm(position - arm.axis))
     if distance > arm.robot.length:
@@ -82,6 +86,23 @@ def _goal(
     goal = pin.SE3(turn @ arm.pose(*where).rotation, position)
     wanted = goal if turned else position
     return goal, inverse_kinematics(arm.robot, arm.towards(*where, turned=turned).q, {arm.tool: wanted})
+
+
+def _default(arm: arms.Arm, turned: bool) -> np.ndarray:
+    """Place (3,) of the tool turned about the base and raised, or by the largest of `PARTS` that it reaches.
+
+    An arm that reaches none, such as one that moves in a plane, gets as near as it can if it may turn freely.
+    """
+    for part in PARTS:
+        way = (part * TURN, 0.0, part * UP)
+        if arm.towards(*way, turned=turned).error <= arms.REACHED:
+            return arm.pose(*way).translation
+    nearest = arm.towards(TURN, 0.0, UP, turned=False).q
+    return (
+        arm.pose(TURN, 0.0, UP).translation
+        if turned
+        else frame_pose(arm.robot, nearest, arm.tool).translation
+    )
 
 
 def turns(origin: str) -> tuple[Parameter, ...]:

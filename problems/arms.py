@@ -147,9 +147,18 @@ class Arm:
 
 
 def load(name: str | Robot) -> Arm:
-    """Return the arm of that name. Raises InputError if it is not an arm, or has joints that cannot move."""
+    """Return the arm of that name; joints that do not move its tool are locked at the reference.
+
+    Raises InputError if it is not an arm, or has joints that cannot move.
+    """
     robot = robots.load(name)
-    arm = Arm(robot=robot, tool=robots.tool_frame(name, robot))
+    tool = robots.tool_frame(name, robot)
+    model = robot.model
+    moving = {model.names[j] for j in model.supports[model.frames[model.getFrameId(tool)].parentJoint]}
+    moving |= {mimic.mimics for mimic in robot.mimics if mimic.joint in moving}
+    moving |= {mimic.joint for mimic in robot.mimics if mimic.mimics in moving}
+    idle = [joint for joint in list(model.names)[1:] if joint not in moving]
+    arm = Arm(robot=robot.with_locked(idle) if idle else robot, tool=tool)
     require_moving(arm.robot)
     return arm
 
@@ -168,11 +177,12 @@ def least_duration(robot: Robot, postures: Sequence[np.ndarray], *, weight: bool
         if np.isinf(robot.velocity_limit).all():  # accelerate by one natural unit
             return float(np.sqrt(PEAK_ACCELERATION * travel.max()) * Units(robot).time)
         return float(by_rate.max())
-    held = np.abs([pin.computeGeneralizedGravity(model, data, q) for q in postures]).max(axis=0)
+    held, rows = [pin.computeGeneralizedGravity(model, data, q) for q in postures], robot.actuated_rows
     # If the motors cannot hold a posture, the problem is infeasible for any guess.
-    spare = np.maximum(robot.torque_limit - weight * held, LEAST_SPARE * robot.torque_limit)
+    left = robot.torque_limit - weight * np.abs(held).max(axis=0)[rows]
+    spare = np.maximum(left, LEAST_SPARE * robot.torque_limit)
     inertia = np.diag(pin.crba(model, data, postures[0]))
-    by_torque = np.sqrt(PEAK_ACCELERATION * travel * inertia / spare)
+    by_torque = np.sqrt(PEAK_ACCELERATION * (travel * inertia)[rows] / spare)
     return float(max(by_rate.max(), by_torque.max()))
 
 

@@ -2,8 +2,10 @@
 
 import numpy as np
 
+from trajopt.collision import robot_shapes
 from trajopt.errors import InputError
 from trajopt.problem import Family, Problem
+from trajopt.problem.bodies import GAP_SLACK
 from trajopt.reduced import BaseWaypoint, legged_guess
 from trajopt.robot import Robot, Units, frame_pose
 from trajopt.schedule import Phase, Schedule
@@ -27,7 +29,8 @@ DEPTH_ERROR = 1e-3
 def deepest(robot: Robot, torque_limit: float | None) -> float:
     """How far the base sinks under its standing height until it lies, m, by bisection.
 
-    As far as legs fold within their limits, hips and knees stay above the ground, and torques hold the robot.
+    As far as legs fold within their limits, links stay apart, hips and knees above the ground, and torques
+    hold the robot.
     """
     standing = float(robot.reference[2]) - common.foot_radius(robot)  # above the centres of the feet
     most = max(standing - LYING * robot.length, 0.0)
@@ -43,6 +46,9 @@ def _lies(robot: Robot, depth: float, torque_limit: float | None) -> bool:
         return False
     limit = robot.torque_limit if torque_limit is None else np.full(robot.nu, torque_limit)
     if pushing.strongest(robot, posture.q, limit) * STATIC_SHARE < 1:
+        return False
+    scene = robot_shapes(robot).scene(robot.model)
+    if scene.pairs and scene.distances_at(posture.q).min() < -GAP_SLACK:
         return False
     frames, keep = leaping.hips_and_knees(robot), leaping.joint_clearance(robot)
     return all(frame_pose(robot, posture.q, frame).translation[2] > keep for frame in frames)

@@ -103,7 +103,7 @@ def tool_frame(name: str | Robot, loaded: Robot | None = None) -> str:
         raise InputError(
             f"robot '{called}' has no tool: it is not an arm", "arms: " + ", ".join(names("arm"))
         )
-    from trajopt.inspection.starter import tool_joint  # slow to import
+    from trajopt.inspection.limbs import tool_joint  # slow to import
 
     given = _stated(name, "TOOL")
     model = (loaded or load(name)).model

@@ -1,10 +1,6 @@
 """Quadrupeds with the same construction: those of Unitree and ANYbotics in example-robot-data."""
 
-import pinocchio as pin
-
 from trajopt.robot import Contact, Robot, robot_file
-
-from ._frames import add_frame
 
 UNITREE_LEGS = ("FL", "FR", "RL", "RR")
 ANYMAL_LEGS = ("LF", "RF", "LH", "RH")
@@ -60,18 +56,15 @@ def _on_balls(
     reference: dict[str, float],
 ) -> Robot:
     """Return the robot on point contacts at foot frames, by name, or at centres (3,) m in them."""
-    described = Robot.from_urdf(robot_file(path), name=name, base="freeflyer")
-    model = pin.Model(described.model)
-    if centre is not None:
-        feet = {leg: add_frame(model, _ball(foot), foot, centre) for leg, foot in feet.items()}
-    contacts = [Contact(frame=frame, name=leg, radius=radius) for leg, frame in feet.items()]
-    return Robot.from_model(
-        model,
+    balls = {} if centre is None else {_ball(foot): (foot, centre, (0.0, 0.0, 0.0)) for foot in feet.values()}
+    frames = feet if centre is None else {leg: _ball(foot) for leg, foot in feet.items()}
+    return Robot.from_urdf(
+        robot_file(path),
         name=name,
         base="freeflyer",
-        contacts=contacts,
+        frames=balls,
+        contacts=[Contact(frame=frame, name=leg, radius=radius) for leg, frame in frames.items()],
         reference=reference,
-        visual=described.visual,
     )
 
 

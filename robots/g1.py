@@ -5,8 +5,6 @@ import pinocchio as pin
 
 from trajopt.robot import Contact, Robot, robot_file
 
-from ._frames import add_frame
-
 KIND = "biped"
 SIDES = ("left", "right")
 
@@ -45,27 +43,23 @@ def with_arms() -> Robot:
 def _robot(name: str, locked: tuple[str, ...], *, hands: bool) -> Robot:
     path = robot_file("g1_description/urdf/g1_29dof_rev_1_0.urdf")
     described = Robot.from_urdf(path, name=name)
-    model = pin.Model(described.model)
+    model, level = pin.Model(described.model), (0.0, 0.0, 0.0)
+    frames = {f"{side}_sole": (f"{side}_ankle_roll_link", SOLE_CENTRE, level) for side in SIDES}
     contacts = [
-        Contact(
-            frame=add_frame(model, f"{side}_sole", f"{side}_ankle_roll_link", SOLE_CENTRE),
-            name=side,
-            kind="surface",
-            half_length=HALF_LENGTH,
-            half_width=HALF_WIDTH,
-        )
-        for side in SIDES
+        Contact(frame=sole, name=side, kind="surface", half_length=HALF_LENGTH, half_width=HALF_WIDTH)
+        for side, sole in zip(SIDES, frames, strict=True)
     ]
+    x, y, z = HAND_CENTRE
     if hands:
         model.armature = np.append(np.zeros(6), np.full(model.nv - 6, ARMATURE))
-    x, y, z = HAND_CENTRE
-    for side, across in zip(SIDES, (y, -y), strict=True) if hands else ():
-        frame = add_frame(model, f"{side}_hand", f"{side}_rubber_hand", (x, across, z))
-        contacts.append(Contact(frame=frame, radius=HAND_RADIUS))
+        for side, across in zip(SIDES, (y, -y), strict=True):
+            frames[f"{side}_hand"] = f"{side}_rubber_hand", (x, across, z), level
+            contacts.append(Contact(frame=f"{side}_hand", radius=HAND_RADIUS))
     return Robot.from_model(
         model,
         name=name,
         base="freeflyer",
+        frames=frames,
         contacts=contacts,
         reference=_posture(),
         locked=[name for name in model.names if any(part in name for part in locked)],

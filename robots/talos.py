@@ -1,10 +1,6 @@
 """Talos, the 90 kg humanoid of PAL Robotics: two soles, and the left hand as a point (`talos_arms`: both)."""
 
-import pinocchio as pin
-
 from trajopt.robot import Contact, Robot, robot_file
-
-from ._frames import add_frame
 
 KIND = "biped"
 SIDES = ("left", "right")
@@ -39,18 +35,15 @@ def build() -> Robot:
 
 def with_arms() -> Robot:
     """Return Talos with both arms; contacts ``left_hand`` and ``right_hand`` are the ends of its grippers."""
-    described = Robot.from_urdf(robot_file(PATH), name="talos_arms")
-    model = pin.Model(described.model)
-    hands = [add_frame(model, f"{side}_hand", f"wrist_{side}_ft_tool_link", GRIP_CENTRE) for side in SIDES]
-    robot = Robot.from_model(
-        model,
+    hands = {f"{side}_hand": (f"wrist_{side}_ft_tool_link", GRIP_CENTRE, (0.0, 0.0, 0.0)) for side in SIDES}
+    robot = Robot.from_urdf(
+        robot_file(PATH),
         name="talos_arms",
-        base="freeflyer",
+        frames=hands,
         contacts=[*_soles(), *(Contact(frame=hand, radius=GRIP_RADIUS) for hand in hands)],
         reference=_legs() | _arm("left") | _arm("right"),
-        visual=described.visual,
     )
-    return robot.with_locked([name for name in model.names if name.startswith(LOCKED)])
+    return robot.with_locked([name for name in robot.model.names if name.startswith(LOCKED)])
 
 
 def _soles() -> list[Contact]:

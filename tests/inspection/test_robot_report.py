@@ -15,11 +15,13 @@ from tests.support.models import placement
 from tests.support.repository import ROOT
 from trajopt import Contact, Robot
 from trajopt.inspection.faults import depths_below
+from trajopt.inspection.limbs import Limbs, find_limbs
 from trajopt.inspection.report import robot_report
 from trajopt.inspection.standing import inside, standing_feet, standing_posture
-from trajopt.inspection.starter import Limbs, find_limbs, guessed, starter
+from trajopt.inspection.starter import guessed, starter
 from trajopt.problem.problem import rest
 from trajopt.robot import read_urdf, robot_file
+from trajopt.robot.legs import wheel_rows
 from trajopt_library import robots
 
 URDF = ROOT / "docs" / "tutorial" / "puppy" / "urdf" / "puppy.urdf"
@@ -190,7 +192,7 @@ def test_puppy_and_most_robots_of_the_library_are_without_warnings() -> None:
 def test_a_straight_arm_is_warned_of() -> None:
     source = robots.load("ur5").visual
     assert source is not None
-    assert "singular" in robot_report(guessed(source.urdf)).warnings[0]
+    assert "singular" in robot_report(Robot.from_urdf(source.urdf, base="fixed")).warnings[0]
 
 
 def test_a_first_file_builds_the_robot_that_was_guessed(tmp_path: Path) -> None:
@@ -289,7 +291,7 @@ GUESSES = [
     ("tiago_description/robots/tiago.urdf", "fixed", 46, 0, 2, 0),
     ("tiago_description/robots/tiago_no_hand.urdf", "fixed", 10, 0, 2, 0),
     ("romeo_description/urdf/romeo.urdf", "freeflyer", 37, 2, 0, 24),
-    ("centauro_description/urdf/centauro.urdf", "fixed", 35, 0, 4, 0),
+    ("centauro_description/urdf/centauro.urdf", "freeflyer", 45, 4, 4, 0),
     ("panda_description/urdf/panda.urdf", "fixed", 7, 0, 0, 0),
     ("ur_description/urdf/ur5_gripper.urdf", "fixed", 6, 0, 0, 0),
     ("double_pendulum_description/urdf/double_pendulum_continuous.urdf", "fixed", 2, 0, 0, 0),
@@ -318,8 +320,10 @@ def test_wheels_are_named_and_fingers_of_effort_zero_are() -> None:
     assert all(name[1:].startswith(("Finger", "Thumb", "Hand")) for name in romeo.undriven)
 
 
-def test_a_robot_on_wheels_with_a_free_base_has_no_feet() -> None:
-    assert guessed(robot_file("tiago_description/robots/tiago_no_hand.urdf"), "freeflyer").contacts == ()
+def test_a_robot_on_wheels_with_a_free_base_rolls() -> None:
+    found = guessed(robot_file("tiago_description/robots/tiago_no_hand.urdf"), "freeflyer")
+    assert set(wheel_rows(found)) == {"wheel_left_link", "wheel_right_link"}
+    assert {contact.radius for contact in found.contacts} == {0.0985}
 
 
 LINK = (
@@ -388,7 +392,7 @@ def test_without_any_effort_limit_nothing_is_locked(tmp_path: Path) -> None:
 
 def test_the_command_says_what_is_locked() -> None:
     shown = invoke("robot", str(robot_file("tiago_description/robots/tiago_no_hand.urdf")))
-    assert "guess: wheels, locked and not taken as feet: wheel_left_joint, wheel_right_joint" in shown.stdout
+    assert "guess: wheels, locked as the base is fixed: wheel_left_joint, wheel_right_joint" in shown.stdout
 
 
 CART = """<mujoco><worldbody><body name="cart" pos="0 0 0.2"><freejoint/><geom type="box" size="0.3 0.2 0.1"/>
@@ -399,14 +403,15 @@ WHEEL = """<body name="wheel_{n}" pos="{x} {y} -0.1" euler="90 0 0">
 <joint name="wheel_{n}_joint" axis="0 0 1"/><geom type="cylinder" size="0.1 0.02"/></body>"""
 
 
-def test_wheels_of_an_mjcf_file_are_no_feet(tmp_path: Path) -> None:
+def test_wheels_of_an_mjcf_file_roll(tmp_path: Path) -> None:
     places = [(0.2, 0.2), (0.2, -0.2), (-0.2, 0.2), (-0.2, -0.2)]
     wheels = "".join(WHEEL.format(n=n, x=x, y=y) for n, (x, y) in enumerate(places))
     path = tmp_path / "cart.xml"
     path.write_text(CART.format(wheels=wheels), encoding="utf-8")
     robot = guessed(path)
-    assert (robot.base, robot.nu, robot.contacts) == ("freeflyer", 1, ())
-    assert "wheels, locked and not taken as feet: wheel_0_joint" in invoke("robot", str(path)).output
+    assert (robot.base, robot.nu) == ("freeflyer", 1)
+    assert wheel_rows(robot) == {f"wheel_{n}": 6 + n for n in range(4)}
+    assert {contact.radius for contact in robot.contacts} == {0.1}
 
 
 @pytest.mark.parametrize("joint", ["", "<freejoint/>"])

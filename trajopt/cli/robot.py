@@ -19,6 +19,13 @@ if TYPE_CHECKING:
 
 # Endings of descriptions, from which a robot is guessed; a Xacro file is refused with its remedy.
 DESCRIPTIONS = (".urdf", ".xacro", ".xml", ".mjcf")
+# Families to begin with, by kind of robot, and parameters; the first that accepts the robot is offered.
+SIMPLEST: dict[str, tuple[tuple[str, dict[str, str]], ...]] = {
+    "arm": (("arm-reach", {}), ("arm-reach", {"orientation": "free"})),
+    "quadruped": (("quadruped-stand-up", {}), ("quadruped-trot", {})),
+    "biped": (("biped-squat", {}), ("biped-gait", {})),
+    "hopper": (("hopper-hop", {}), ("hopper-gait", {})),
+}
 
 
 @click.command("robot")
@@ -53,6 +60,8 @@ def robot_command(robot: str, base: str | None, write: Path | None, html: Path |
         with replacing(write) as unfinished:
             unfinished.write_text(text, encoding="utf-8")
         say(f"  file       {write}: feet and posture are guesses, edit them", err=as_json)
+        for line in _next(write):
+            say(f"  {line}", err=as_json)
     if html is not None:
         from trajopt.problem.problem import rest
         from trajopt.solving.solving import solve
@@ -88,9 +97,44 @@ def _guesses(name: str, loaded: Robot) -> tuple[str, ...]:
 
     if loaded.visual is None or not (is_packaged(name) or Path(name).suffix in DESCRIPTIONS):
         return ()
-    from trajopt.inspection.starter import limbs_of
+    from trajopt.inspection.starter import guess_lines
 
-    return limbs_of(loaded.visual.urdf).lines()
+    return guess_lines(loaded.visual.urdf)
+
+
+def _next(target: Path) -> list[str]:
+    """Lines that name the families for a written robot, and a command that solves the simplest of them."""
+    from trajopt.problem.catalogue import family, listing
+    from trajopt.robot.catalogue import robot, robot_kind
+
+    try:
+        loaded = robot(str(target))
+        joints = [loaded.model.frames[loaded.model.getFrameId(c.frame)].parentJoint for c in loaded.contacts]
+        if (
+            loaded.contacts
+            and all(c.rolling for c in loaded.contacts)
+            and all(loaded.model.parents[joint] == 1 for joint in joints)
+        ):
+            return [f"next       trajopt drive {target}"]
+        kind = str(robot_kind(str(target)))
+        known, kinds = listing()
+        refused = f"none is for a {kind}"
+        for name, values in SIMPLEST.get(kind, ()):
+            try:
+                family(name).load({"robot": str(target), **values})
+            except InputError as error:
+                refused = str(error)
+                continue
+            like = f"{name.split('-')[0]}-"
+            fits = [one for one in known if one.startswith(like) and kinds.get(known[one].robot) == kind]
+            words = " ".join(f"--set {key}={value}" for key, value in {"robot": target, **values}.items())
+            return [
+                f"families   {len(fits)} for a robot of kind {kind}: trajopt list '{like}*'",
+                f"next       trajopt solve {name} {words}",
+            ]
+    except InputError as error:
+        refused = str(error)
+    return [f"next       no family fits: {refused}"]
 
 
 def _starter(loaded: Robot, target: Path) -> str:

@@ -10,6 +10,7 @@ from trajopt.collision.description import robot_shapes
 from trajopt.dynamics.base_joint import BASE_JOINT
 from trajopt.dynamics.model_quantities import contact_jacobian, joints_of_rows
 from trajopt.errors import InputError
+from trajopt.inspection.limbs import tool_joint
 from trajopt.inspection.standing import StandingPosture
 from trajopt.robot.building import reach
 from trajopt.robot.joint_checks import joints_without_inertia
@@ -196,7 +197,7 @@ def _tool(robot: Robot) -> _Lines:
     """Report an arm of six or more joints that cannot move or turn its last frame in some direction."""
     if robot.nv < 6:
         return
-    frame = [f.name for f in robot.model.frames if f.parentJoint == robot.model.njoints - 1][-1]
+    frame = [f.name for f in robot.model.frames if f.parentJoint == tool_joint(robot.model)][-1]
     jacobian = contact_jacobian(robot.model, robot.reference, [(frame, 6)])
     jacobian[:3] /= robot.length
     values = np.linalg.svd(jacobian, compute_uv=False)

@@ -13,6 +13,7 @@ from .edges import EDGES as EDGES
 from .edges import edge_contacts as edge_contacts
 from .edges import with_edges as with_edges
 from .joint_checks import require_moving as require_moving
+from .joint_checks import without_zero_limits as without_zero_limits
 from .kinematics import Posture as Posture
 from .kinematics import contact_poses as contact_poses
 from .kinematics import contact_positions as contact_positions

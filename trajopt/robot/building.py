@@ -21,7 +21,7 @@ from trajopt.dynamics.base_joint import (
 )
 from trajopt.dynamics.rerooting import Body, copy_bodies
 from trajopt.errors import InputError, UnsupportedJointError
-from trajopt.robot.contact import Contact
+from trajopt.robot.contact import Contact, require_frame
 from trajopt.terrain.surface import SAME_PLANE
 
 # A base lower than this fraction of the reach does not stand on its contacts: it lies, or hangs.
@@ -147,6 +147,24 @@ def locked_model(model: pin.Model, joints: Sequence[str], reference: np.ndarray)
         else:
             bodies[index] = Body(new.addJoint(on.joint, joint, place, name), pin.SE3.Identity())
     copy_bodies(model, new, bodies)
+    return new
+
+
+def with_frames(model: pin.Model, frames: Mapping[str, tuple[str, ArrayLike, ArrayLike]]) -> pin.Model:
+    """Return a copy of ``model`` with frames that are fixed to others.
+
+    ``frames`` maps a name to another frame, and position (3,), m, and roll, pitch, yaw (3,), rad, in it.
+    Raises `InputError` for an unknown or a repeated frame.
+    """
+    new = pin.Model(model)
+    for name, (other, position, angles) in frames.items():
+        require_frame(new, other, f"frame '{name}'")
+        if new.existFrame(name):
+            raise InputError(f"frame '{name}' to add is in the model already", "allowed: another name")
+        index = new.getFrameId(other)
+        turn = pin.rpy.rpyToMatrix(np.array(angles, dtype=float))
+        place = new.frames[index].placement * pin.SE3(turn, np.array(position, dtype=float))
+        new.addFrame(pin.Frame(name, new.frames[index].parentJoint, index, place, pin.FrameType.OP_FRAME))
     return new
 
 

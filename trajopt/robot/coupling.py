@@ -23,8 +23,8 @@ WRAP_JOINT, WRAP_SITE, WRAP_GEOMS = 1, 3, (4, 5)
 class Coupling(NamedTuple):
     """A constraint: ``what`` describes it, ``joints`` are in it, locking those ``needed`` frees the others.
 
-    mimic: rule by which one of two joints follows the other; None for other constraints. driven: whether the
-    follower has a motor.
+    mimic: rule by which one of two joints follows the other; None for other constraints. driven, led: whether
+    the follower and the leader have motors, as far as the file says.
     """
 
     what: str
@@ -32,6 +32,7 @@ class Coupling(NamedTuple):
     needed: tuple[str, ...]
     mimic: MimicJoint | None = None
     driven: bool = False
+    led: bool = False
 
 
 def following(
@@ -100,9 +101,9 @@ def mjcf_couplings(compiled: Any) -> tuple[Coupling, ...]:
             rule = _mimic(compiled, index, joints) if kind == "joint" and len(joints) == 2 else None
             follows, leads = motors[objects].tolist() if rule else (False, False)
             if rule and follows and not leads and rule.ratio and rule.mimics not in followers:
-                rule, follows = rule.swapped(), False  # the one with a motor leads
+                rule, follows, leads = rule.swapped(), False, True  # the one with a motor leads
             followers |= {rule.joint} if rule else set()
-            found.append(Coupling(what, joints, joints, rule, follows))
+            found.append(Coupling(what, joints, joints, rule, follows, leads))
     return tuple(found)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import os
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -51,6 +52,7 @@ def robot_file(relative: str) -> Path:
 
 def package_directories(urdf: Path) -> tuple[Path, ...]:
     """Directories in which ``package://`` paths are searched: those above ``urdf``, and its `data_share`."""
+    urdf = Path(os.path.normpath(urdf))  # without "..", links are not followed
     nearby = tuple(urdf.parents)[:PACKAGE_LEVELS]
     try:
         share = data_share()

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
+from trajopt.arguments import checked
 from trajopt.dynamics.base_joint import BASE_JOINT, BASE_ROWS
 from trajopt.dynamics.model_quantities import joints_of_rows
 from trajopt.errors import InputError
-from trajopt.robot.building import reach
+from trajopt.robot.building import reach, reference_posture
 
 if TYPE_CHECKING:
     from trajopt.robot.robot import Robot
@@ -38,6 +42,32 @@ def require_moving(robot: Robot, *limits: Limit) -> None:
             raise InputError(
                 f"the {limit} limit of {_named(still, robot)} is 0", f"allowed: {REMEDIES[limit]}"
             )
+
+
+@checked
+def without_zero_limits(robot: Robot, reference: ArrayLike | Mapping[str, float] | None = None) -> Robot:
+    """Return the robot without limits that are 0 where a file means none: exporters write zeros.
+
+    These are velocity limits of 0, position limits that leave no range, and torque limits if all are 0. A
+    ``reference`` as in `Robot.from_urdf` replaces the robot's.
+    """
+    rates, lower, upper = (
+        np.array(each) for each in (robot.velocity_limit, robot.position_lower, robot.position_upper)
+    )
+    rates[rates == 0] = np.inf
+    still = lower == upper
+    lower[still], upper[still] = -np.inf, np.inf
+    torque = robot.torque_limit
+    weak = torque is not None and not torque.any()
+    posture = reference_posture(robot.model, robot.base, robot.contacts, reference)
+    return replace(
+        robot,
+        reference=robot.reference if reference is None else posture,
+        velocity_limit=rates,
+        position_lower=lower,
+        position_upper=upper,
+        torque_limit=None if weak else torque,
+    )
 
 
 def require_inertia(robot: Robot) -> None:

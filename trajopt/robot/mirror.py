@@ -28,6 +28,8 @@ from trajopt.robot.robot import Robot
 REFLECTION = np.array([1.0, -1.0, 1.0])
 # Mirror image of a twist or of the local coordinates of a free-flyer (linear, angular), and of a wrench.
 TWIST = np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
+# Mirror image of a body's parameters: mass, first moments, and Ixx, Ixy, Iyy, Ixz, Iyz, Izz.
+BODY = np.array([1.0, 1.0, -1.0, 1.0, 1.0, -1.0, 1.0, 1.0, -1.0, 1.0])
 
 
 def reflected(placement: pin.SE3) -> pin.SE3:
@@ -36,9 +38,8 @@ def reflected(placement: pin.SE3) -> pin.SE3:
 
 
 def reflected_inertia(inertia: pin.Inertia) -> pin.Inertia:
-    """Mirror image of a body."""
-    turned = REFLECTION[:, None] * np.array(inertia.inertia) * REFLECTION
-    return pin.Inertia(inertia.mass, REFLECTION * inertia.lever, turned)
+    """Mirror image of a body; by its parameters, as the constructor refuses what rounding makes negative."""
+    return pin.Inertia.FromDynamicParameters(inertia.toDynamicParameters() * BODY)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -392,6 +392,7 @@ class Robot:
         name: str | None = None,
         package_dirs: Sequence[str | Path] | None = None,
         passive: Sequence[str] = (),
+        frames: Mapping[str, Any] | None = None,
     ) -> Robot:
         """Build a robot from a URDF file.
 
@@ -405,6 +406,7 @@ class Robot:
             name: name of the robot; default the one in the file.
             package_dirs: directories of ``package://`` paths of meshes; default the folders above the file.
             passive: names of joints without an actuator.
+            frames: frames to add, see `building.with_frames`.
 
         Raises:
             InputError: for a missing or malformed file, an unlocked mimic joint that is continuous or whose
@@ -424,6 +426,7 @@ class Robot:
             name=name or model.name,
             visual=VisualSource(urdf=source, package_dirs=directories),
             passive=passive,
+            frames=frames,
         )
         return robot.with_mimics(list(mimics)).with_locked(locked) if mimics else robot
 
@@ -488,8 +491,10 @@ class Robot:
         name: str | None = None,
         visual: VisualSource | None = None,
         passive: Sequence[str] = (),
+        frames: Mapping[str, Any] | None = None,
     ) -> Robot:
         """Build a robot from a numeric Pinocchio model and its limits; arguments as in `from_urdf`."""
+        model = building.with_frames(model, frames or {})
         kind = base if base is not None else base_of(model)
         named = tuple(entry if isinstance(entry, Contact) else Contact(frame=entry) for entry in contacts)
         for contact in named:
@@ -497,7 +502,7 @@ class Robot:
         lower, upper = position_limits(model)
         robot = cls(
             name=name or model.name or "robot",
-            model=pin.Model(model),
+            model=model,
             base=kind,
             contacts=named,
             reference=building.reference_posture(model, kind, named, reference),
