@@ -95,7 +95,8 @@ def _default(arm: arms.Arm, turned: bool) -> np.ndarray:
     """
     for part in PARTS:
         way = (part * TURN, 0.0, part * UP)
-        if arm.towards(*way, turned=turned).error <= arms.REACHED:
+        posture = arm.towards(*way, turned=turned)
+        if posture.error <= arms.REACHED and arm.is_clear(posture.q):
             return arm.pose(*way).translation
     nearest = arm.towards(TURN, 0.0, UP, turned=False).q
     return (

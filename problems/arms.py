@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from trajopt.collision import robot_shapes
 from trajopt.errors import InputError
 from trajopt.problem import Parameter, PosturePath, Problem
 from trajopt.robot import Posture, Robot, Units, frame_pose, inverse_kinematics, require_moving
@@ -23,6 +24,7 @@ from trajopt.terms import (
     TerminalRest,
     TorqueLimits,
 )
+from trajopt.terrain import FlatGround
 from trajopt_library import robots
 
 from . import common
@@ -128,6 +130,11 @@ class Arm:
                 self.allowed(f"poses within its reach ({self.robot.length:.2f} m) and joint ranges"),
             )
         return posture.q
+
+    def is_clear(self, q: np.ndarray) -> bool:
+        """Whether links that must not touch are apart, and above level ground, at ``q`` (nq,)."""
+        scene = robot_shapes(self.robot).scene(self.robot.model, FlatGround())
+        return bool(scene.distances_at(q).min(initial=0.0) >= 0)
 
     def allowed(self, usual: str) -> str:
         """What is allowed where the tool's pose is not reached: with few joints, hardly any pose."""
