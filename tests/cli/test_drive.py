@@ -152,6 +152,8 @@ def test_targets_that_do_not_fit_are_one_line(text, line, tmp_path):
         ),
         (["ur5", "--script", "CSV", "--push", "0,0,1"], "--push with 'ur5', an arm"),
         (["ur5", "--script", "CSV", "--rolling"], "--rolling with 'ur5', an arm"),
+        (["ur5", "--script", "CSV", "--start", "lying"], "--start with 'ur5', an arm"),
+        (["panda", "--target", "--start", "lying"], "robot 'panda' cannot lie; allowed: a quadruped"),
         (["go2", "--script", "CSV", "--post", "1,0,1,0.1"], "--post with 'go2', on legs"),
         (["go2", "--post", "1,0,1,0.1"], "--post without --target"),
         (["ur5", "--target", "--post", "1,0,1"], "--post is '1,0,1'; allowed: X,Y,HEIGHT,RADIUS, numbers"),

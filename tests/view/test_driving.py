@@ -208,6 +208,18 @@ def test_known_terrain_is_below_the_robot_and_in_its_controller_after_a_reset_to
     assert session.driver.steering.controller.ground.terrain is terrain
 
 
+def test_a_robot_that_lies_stands_up_and_lies_again_after_a_reset(driver: LegsDriver):
+    session = DriveSession(driver, clock=instant(), keep=2.0, lying=True)
+    low, standing = base(session)[2], driver.robot.reference[2]
+    turns(session, round(session.driven.rises / STRETCH) + 5)
+    assert low < 0.35 * standing
+    assert base(session)[2] == pytest.approx(standing, rel=0.03)
+    assert session.driven.fall is None
+    assert session.as_drive().script.times == pytest.approx((0.0, session.driven.rises))
+    session.reset()
+    assert base(session)[2] == low
+
+
 def test_a_slow_gait_gets_low_speeds():
     driver = LegsDriver(robot("go2"), ("walk",))
     driver.obey({"gait": "walk", "speed": driver.sliders[0].high, "lateral": 0.01})

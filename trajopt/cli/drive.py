@@ -10,6 +10,7 @@ import click
 
 from trajopt.cli.input import (
     NOT_REACHED,
+    choice_option,
     default_option,
     hardware_options,
     is_given,
@@ -40,7 +41,7 @@ SCRIPTED = {
     "as_json": "--json",
 }
 # Those of robots on legs.
-ON_LEGS = ("push", "slope", "boxes", "terrain", "rolling")
+ON_LEGS = ("push", "slope", "boxes", "terrain", "start", "rolling")
 # Those of live drives.
 LIVE = {
     "port": "--port",
@@ -76,6 +77,7 @@ LIVE = {
 @value_option("--slope", "DEG", "Slope in front of the robot, of which it does not know.", float)
 @value_option("--boxes", "PART", "Boxes in front of it, up to this part of its length high.", float)
 @value_option("--terrain", "KIND:NAME=VALUE,...", "Known ground: steps, stairs, box, slope, or FILE.json.")
+@choice_option("--start", ("standing", "lying"), "A quadruped on point feet that lies stands up first.")
 @value_option(
     "--post",
     "X,Y,HEIGHT,RADIUS",
@@ -104,6 +106,7 @@ def drive_command(
     slope: float | None,
     boxes: float | None,
     terrain: str | None,
+    start: str,
     post: tuple[str, ...],
     payload: str | None,
     as_json: bool,
@@ -126,6 +129,7 @@ def drive_command(
     if script is None:
         page: dict[str, Any] = {"seconds": seconds, "exit_with_page": exit_with_page, "payload": payload}
         given = {name: value for name, value in hardware.items() if is_given(name)}
+        given["lying"] = start == "lying"
         if to_target:
             given["obstacles"] = _posts(post)
             if terrain is not None:
@@ -168,7 +172,7 @@ def drive_command(
         pushes = [_push(loaded, text) for text in push]
         ground = _ground(loaded, slope, boxes, hardware["seed"])
         hardware["settings"] = ControllerSettings(period=period, delay=plan_delay)
-        hardware["terrain"] = terrain and _known(terrain)
+        hardware.update(terrain=terrain and _known(terrain), lying=start == "lying")
         with driving:
             driven = drive(loaded, commands, duration=seconds, pushes=pushes, ground=ground, **hardware)
     if target is not None:

@@ -7,7 +7,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, TypeVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from trajopt.robot.natural_units import NaturalUnits
 from trajopt.robot.robot import Robot
 from trajopt.robot.validation import STRAIGHT
 from trajopt.simulation.clock import lockstep
-from trajopt.simulation.drive_report import PlanFigures, plan_figures
+from trajopt.simulation.drive_report import PlanFigures, plan_figures, since
 from trajopt.simulation.driven_scene import DrivenScene
 from trajopt.simulation.lockstep import LAST
 from trajopt.simulation.settings import SimulationSettings
@@ -42,8 +42,6 @@ RATE = 500.0
 STRIDE = 0.02
 AXES = ("x", "y", "z")
 COLUMNS = ("time", *AXES)
-# The value of a log entry.
-Sent = TypeVar("Sent")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,13 +103,6 @@ class ArmDrive(SimulatedMotion):
             targets=tuple((time, tuple(place.tolist())) for time, place in goals),
         )
         return cls(**driven.motion_fields(timeline, record), target=target, report=report)
-
-
-def since(log: Sequence[tuple[float, Sent]], offset: float) -> list[tuple[float, Sent]]:
-    """The entries of a log in effect from ``offset`` s on, with times relative to it; the first is at 0."""
-    times = [max(time - offset, 0.0) for time, _ in log]
-    first = sum(time == 0.0 for time in times) - 1
-    return [(time, sent) for time, (_, sent) in zip(times, log, strict=True)][first:]
 
 
 class ToolSteering:

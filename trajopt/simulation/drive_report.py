@@ -10,12 +10,13 @@ import numpy as np
 
 from trajopt.certify.figures import figure
 from trajopt.control.mpc.arm import ArmController
-from trajopt.control.mpc.commands import CommandScript
+from trajopt.control.mpc.commands import Command, CommandScript
 from trajopt.control.mpc.controller import Controller
 from trajopt.simulation.figures import Fall
 from trajopt.simulation.record import SimulationRecord
 from trajopt.simulation.report import MotionReport, relaxed_ticks
 
+CommandLog = Sequence[tuple[float, Command]]
 # Tracking errors count from this time after each change of command, s.
 SETTLED = 0.5
 
@@ -81,6 +82,13 @@ def command_errors(
         means.append(np.transpose(mean) - wanted)
         values.append(velocity[rows] - wanted)
     return CommandErrors.of(np.concatenate(means)), CommandErrors.of(np.concatenate(values))
+
+
+def since(log: Sequence[tuple[float, Any]], offset: float) -> list[tuple[float, Any]]:
+    """The entries of a log in effect from ``offset`` s on, with times relative to it; the first is at 0."""
+    times = [max(time - offset, 0.0) for time, _ in log]
+    first = sum(time == 0.0 for time in times) - 1
+    return [(time, sent) for time, (_, sent) in zip(times, log, strict=True)][first:]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,6 +22,7 @@ from trajopt.robot.mujoco_package import muted_mujoco
 from trajopt.robot.robot import Robot
 from trajopt.simulation.figures import Fall, FallTest
 from trajopt.simulation.record import SimulationRecord
+from trajopt.simulation.rise import RISE_TIME, Rise
 from trajopt.simulation.run import SimulationRun, Start
 from trajopt.simulation.scene import Scene, build_scene
 from trajopt.simulation.settings import SimulationSettings, TorqueController
@@ -37,16 +38,18 @@ Clock = Callable[["DrivenScene"], int]
 
 
 class DrivenScene:
-    """A robot in its reference posture on the ground, and its simulation under a controller.
+    """A robot on the ground, and its simulation under a controller.
 
     Args:
         robot: the robot.
         settings: settings of the simulation.
-        duration: length of the record, s.
+        duration: length of the record without the rise, s.
         ground: ground that the robot touches, at height 0 where it stands; default: level ground.
         obstacles: obstacles in the world.
+        lying: begin with a `Rise`, which comes before the controller, not in the reference posture.
 
     Attributes:
+        rises: time of the rise, s.
         scene: the scene in MuJoCo.
         timeline: the ticks of the record.
         run: the simulation.
@@ -54,7 +57,7 @@ class DrivenScene:
         fall: how the drive ended, if the robot fell, the simulation diverged or the controller failed.
 
     Raises:
-        InputError: for settings that are not allowed, or ground that is not level at the start.
+        InputError: for settings that are not allowed, ground that is not level at the start, and as `Rise`.
     """
 
     run: SimulationRun
@@ -69,6 +72,7 @@ class DrivenScene:
         *,
         ground: PiecewiseTerrain | None = None,
         obstacles: Sequence[Obstacle] = (),
+        lying: bool = False,
     ) -> None:
         self.robot, self.settings, self._ground = robot, settings, ground
         q, stands = robot.reference, standing_feet(robot)
@@ -80,21 +84,28 @@ class DrivenScene:
         simulated = _simulated(robot, ground, obstacles)
         require_fitting(settings, simulated.model, simulated.description.frames)
         standing = np.array([contact in stands for contact in robot.contacts], dtype=bool)
+        self.rises = RISE_TIME * simulated.units.time if lying else 0.0
+        duration += self.rises
         self.timeline = ContactTimeline.of_one_phase("drive", settings.control_rate, duration, standing)
         require_within(settings, self.timeline)
         with muted_mujoco():
             site = Site.at_rest(simulated, q, np.flatnonzero(standing).tolist())
             self.scene: Scene = build_scene(site, settings)
-        self._start = Start(q=q, v=np.zeros(robot.nv), torque=_torque_at_rest(robot, stands))
+        torque = _torque_at_rest(robot, stands)
+        self._rise = Rise(robot, self.scene, torque, self.timeline.period) if lying else None
+        q, torque = (q, torque) if self._rise is None else (self._rise.lying, np.zeros(robot.nu))
+        self._start = Start(q=q, v=np.zeros(robot.nv), torque=torque)
         self._test = FallTest(self.scene)
 
     def begin(self, controller: TorqueController, height: Callable[[float], float] | None = None) -> None:
         """Put the robot back into its start.
 
         Args:
-            controller: returns the torques.
-            height: commanded height, m, over the time in s, at which falls are judged; default: 0.
+            controller: returns the torques; its time begins after the rise.
+            height: commanded height, m, over this time in s, at which falls are judged; default: 0.
         """
+        if self._rise is not None:
+            self._rise.controller, controller = controller, self._rise
         with muted_mujoco():
             self.run = SimulationRun(self.scene, self.timeline, controller, self._start, self.settings)
             self.record = self.run.start()
@@ -120,7 +131,7 @@ class DrivenScene:
     def advance(self, count: int) -> None:
         """Simulate ``count`` ticks, or until the simulation fails, and judge whether the robot has fallen.
 
-        A full record drops its older half. A fallen robot stays as it is.
+        It cannot fall while it rises. A full record drops its older half. A fallen robot stays as it is.
         """
         if self.fall is not None:
             return
@@ -133,7 +144,7 @@ class DrivenScene:
                 self.row = self.run.advance(self.record, first, last)
         except TrajoptError as error:
             why = str(error)
-        rows = slice(first, self.row)
+        rows = slice(max(first, round(self.rises / self.timeline.period) - self.run.forgotten), self.row)
         self.fall = self._test.first(self.record, self.timeline, rows, self._upright(rows))
         if self.fall is None and self.row < last:
             self.fall = Fall(time=float(self.timeline.t[self.row]), why=why)
@@ -161,12 +172,12 @@ class DrivenScene:
     def _upright(self, rows: slice) -> np.ndarray:
         """The posture at the start (n, nq), at the place, heading and commanded height of each row."""
         q = self.scene.coordinates.from_mujoco(self.record.qpos[rows])
-        result = np.repeat(self._start.q[None], len(q), axis=0)
+        result = np.repeat(self.robot.reference[None], len(q), axis=0)
         if self.robot.base != "freeflyer":
             return result
         result[:, :2] = q[:, :2]
         if self._height is not None:
-            result[:, 2] += [self._height(self.offset + t) for t in self.timeline.t[rows].tolist()]
+            result[:, 2] += [self._height(self.offset - self.rises + t) for t in self.timeline.t[rows]]
         if self._ground is not None:
             below = self._ground.height(q[:, 0], q[:, 1])
             result[:, 2] += np.where(np.isfinite(below), below, 0.0)

@@ -75,25 +75,30 @@ class JointFeedback:
 
 def gains_of(scene: Scene, motion: SampledMotion, period: float, settings: SimulationSettings) -> Gains:
     """Gains at every time of a motion, for feedback with a ``period`` in s."""
-    picked, rows = np.arange(0, len(motion.t), EVERY), scene.rows
-    matrices = _inertias(scene, motion.at(picked))
+    part, spread = motion.at(np.arange(0, len(motion.t), EVERY)), np.arange(len(motion.t)) // EVERY
+    gains = gains_at(scene, part.q, part.active, part.source, period)
+    return Gains(kp=settings.kp * gains.kp[spread], kd=settings.kd * gains.kd[spread])
+
+
+def gains_at(scene: Scene, q: np.ndarray, active: np.ndarray, phases: np.ndarray, period: float) -> Gains:
+    """Gains in postures (n, nq) on ``active`` contacts (n, nc), with the payloads of ``phases`` (n,)."""
+    matrices, rows = _inertias(scene, q, phases), scene.rows
     inertia = np.diagonal(matrices, axis1=1, axis2=2)[:, rows]
     rate = 1.0 / (FEEDBACK_TIME * scene.units.time)
-    kp = np.maximum(rate**2 * inertia, _holding(scene, motion.active[picked]))
+    kp = np.maximum(rate**2 * inertia, _holding(scene, active))
     kd = 2 * np.sqrt(kp * inertia)
     response = np.linalg.inv(matrices)[:, rows[:, None], rows] * kd[:, None, :] * period
     fastest = np.abs(np.linalg.eigvals(response)).max(axis=1, initial=0.0)
     weaker = np.minimum(1.0, FASTEST / np.maximum(fastest, FASTEST))[:, None]
-    spread = np.arange(len(motion.t)) // EVERY
-    return Gains(kp=settings.kp * (weaker * kp)[spread], kd=settings.kd * (weaker * kd)[spread])
+    return Gains(kp=weaker * kp, kd=weaker * kd)
 
 
-def _inertias(scene: Scene, motion: SampledMotion) -> np.ndarray:
-    """Mass matrices (n, nv, nv) along a motion, with payloads, in MuJoCo's coordinates."""
+def _inertias(scene: Scene, q: np.ndarray, phases: np.ndarray) -> np.ndarray:
+    """Mass matrices (n, nv, nv) in postures (n, nq), with payloads of phases, in MuJoCo's coordinates."""
     mujoco, model = mujoco_package(), copy.copy(scene.compiled)
-    data, matrices = mujoco.MjData(model), np.zeros((len(motion.t), model.nv, model.nv))
-    every, carried = scene.coordinates.to_mujoco(motion.q), -1
-    for qpos, phase, matrix in zip(every, motion.source, matrices, strict=True):
+    data, matrices = mujoco.MjData(model), np.zeros((len(q), model.nv, model.nv))
+    every, carried = scene.coordinates.to_mujoco(q), -1
+    for qpos, phase, matrix in zip(every, phases, matrices, strict=True):
         if phase != carried:  # the masses of the plan: the feedback does not know others
             write_inertias(model, scene.site.models[int(phase)])
             carried = phase

@@ -22,7 +22,7 @@ from trajopt.errors import InputError, not_among
 from trajopt.robot.robot import Robot
 from trajopt.schedule.gaits import gait_names
 from trajopt.simulation.clock import lockstep
-from trajopt.simulation.drive_report import DriveReport, command_errors, plan_figures
+from trajopt.simulation.drive_report import CommandLog, DriveReport, command_errors, plan_figures, since
 from trajopt.simulation.driven_scene import DrivenScene
 from trajopt.simulation.record import SimulationRecord
 from trajopt.simulation.scene import Scene
@@ -55,9 +55,11 @@ class DrivenMotion(SimulatedMotion):
 
     @classmethod
     def of(
-        cls, driven: DrivenScene, steering: Steering, script: CommandScript, timeline: ContactTimeline
+        cls, driven: DrivenScene, steering: Steering, log: CommandLog, timeline: ContactTimeline
     ) -> DrivenMotion:
-        """The record of a simulation, in which ``steering`` followed a script; ``timeline`` has its ticks."""
+        """The record of a simulation, in which ``steering`` followed commands; ``timeline`` has its ticks."""
+        log = [(0.0, Command()), *((driven.rises + time, command) for time, command in log)]
+        script = CommandScript(*zip(*since(log, driven.offset), strict=True))
         record, controller, period = driven.recorded(), steering.controller, timeline.period
         periods = {name: whole for name, (_, whole) in controller.clock.gaits.items()}
         velocity = base_velocity(driven.scene, record)
@@ -100,6 +102,7 @@ def drive(
     pushes: Sequence[Impulse] = (),
     ground: PiecewiseTerrain | None = None,
     terrain: PiecewiseTerrain | None = None,
+    lying: bool = False,
     **hardware: Any,
 ) -> DrivenMotion:
     """Drive a robot by a script in MuJoCo; the drive ends early if the robot falls.
@@ -116,6 +119,7 @@ def drive(
         ground: ground that feet and links touch and the controller does not know, with level faces at height
             0 where the robot stands; default: level ground.
         terrain: such ground that the controller knows, in place of ``ground``.
+        lying: a quadruped stands up from its belly, before the time of duration and script begins.
         hardware: fields of `SimulationSettings` among `HARDWARE`; feet with a radius roll by default.
 
     Raises:
@@ -134,7 +138,7 @@ def drive(
     if ground is not None and terrain is not None:
         raise InputError("drive has a ground and a terrain", "allowed: one of them")
     below = ground if terrain is None else terrain
-    driven = DrivenScene(robot, wanted, duration or script.times[-1] + LAST, ground=below)
+    driven = DrivenScene(robot, wanted, duration or script.times[-1] + LAST, ground=below, lying=lying)
     used = dict.fromkeys(command.gait for command in script.commands if command.gait != STAND)
     names = tuple(gaits or used or gait_names(robot)[:1])
     if controller is not None:
@@ -154,7 +158,8 @@ def drive(
         steering.controller.possible(command)
     driven.begin(steering, lambda t: script.at(t).height)
     driven.simulate(lockstep)
-    return DrivenMotion.of(driven, steering, script, driven.timeline)
+    log = list(zip(script.times, script.commands, strict=True))
+    return DrivenMotion.of(driven, steering, log, driven.timeline)
 
 
 class Steering:

@@ -19,6 +19,7 @@ from trajopt.control.mpc.receding import ControllerSettings
 from trajopt.errors import InputError
 from trajopt.simulation.drive_report import command_errors
 from trajopt.simulation.lockstep import DrivenMotion, drive
+from trajopt.simulation.rise import RISE_TIME
 from trajopt.simulation.settings import Impulse
 from trajopt.terrain import PiecewiseTerrain
 from trajopt_library import robots
@@ -32,6 +33,8 @@ SCRIPT = CommandScript((0.0, 0.2), (Command(), Command(gait="trot", speed=SPEED,
 TROT = CommandScript((0.0, 0.2), (Command(), STRAIGHT))
 # Means of speeds over a period are this near to commands, m/s or rad/s: a fifth of them.
 NEAR = 0.2 * SPEED
+# Height of the base of a robot that lies over that of one that stands, and the error of the latter.
+LIES, HEIGHT_ERROR = 0.35, 0.03
 # A foot on the ground is this near to it, m: it gives way.
 GIVES_WAY = 2e-3
 
@@ -125,6 +128,34 @@ def test_a_robot_trots_up_and_down_ground_that_its_controller_knows(
     assert base[-1, 2] == pytest.approx(base[0, 2], abs=0.02)
     rise = np.interp(DISTANCE + run, base[:, 0], base[:, 2]) - base[0, 2]
     assert rise == pytest.approx(np.mean(heights[:2]), abs=0.04)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["go2", "solo12"])
+def test_a_robot_that_lies_stands_up_without_a_jump_and_follows_its_commands(name: str) -> None:
+    robot = robots.load(name)
+    driven = drive(robot, TROT, lying=True)
+    rises, report, height = RISE_TIME * driven.scene.units.time, driven.report, driven.record.qpos[:, 2]
+    stood, standing = round(rises / driven.timeline.period), robot.reference[2]
+    assert driven.script.times == pytest.approx((0.0, rises, rises + 0.2))
+    assert report.passed
+    assert report.begun_anew == 0
+    assert report.mean_errors is not None
+    assert report.mean_errors.speed < 0.25 * NEAR
+    assert height[0] < LIES * standing
+    assert driven.record.touched[: stood // 10].any()
+    assert not driven.record.touched[stood // 2 :].any()
+    assert height[stood:] == pytest.approx(standing, rel=HEIGHT_ERROR)
+    assert height.max() < (1 + HEIGHT_ERROR) * standing
+    joints = driven.scene.coordinates.from_mujoco(driven.record.qpos)[:, 7:]
+    assert (joints > robot.position_lower[7:]).all()
+    assert (joints < robot.position_upper[7:]).all()
+
+
+def test_a_robot_that_is_thrown_over_while_it_rises_has_fallen(go2: Robot) -> None:
+    thrown = Impulse(direction=math.pi / 2, size=200.0, time=0.5, duration=0.1)
+    driven = drive(go2, TROT, lying=True, pushes=[thrown])
+    assert driven.report.fall_time == pytest.approx(RISE_TIME * driven.scene.units.time, abs=0.01)
 
 
 def test_speeds_are_those_of_the_base(walk: DrivenMotion) -> None:
@@ -233,6 +264,8 @@ def test_swings_about_a_command_are_no_error_of_the_mean() -> None:
     [
         ("ur5", {}, "robot 'ur5' has a fixed base; allowed: a free base, on feet"),
         ("hopper", {}, "robot 'hopper' has a planar base; allowed: a free base, on feet"),
+        ("g1", {"lying": True}, "robot 'g1' cannot lie; allowed: a quadruped on point feet"),
+        ("hyq", {"lying": True}, "'hyq' cannot lie; allowed: "),
         ("go2", {"duration": 0.0}, "duration of drive is 0.0; allowed: "),
         ("go2", {"kp": 2.0}, "a drive has no setting 'kp'; allowed: timestep, control_rate"),
         ("go2", {"gaits": ["trot", "moonwalk"]}, "gait 'moonwalk' is unknown"),

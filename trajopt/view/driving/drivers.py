@@ -13,7 +13,7 @@ from typing_extensions import override
 
 from trajopt.collision import Obstacle
 from trajopt.control.mpc.arm import ArmController, ArmSettings
-from trajopt.control.mpc.commands import SPEEDS, STAND, Command, CommandScript
+from trajopt.control.mpc.commands import SPEEDS, STAND, Command
 from trajopt.control.mpc.controller import Controller
 from trajopt.control.mpc.plans import Plans
 from trajopt.control.mpc.receding import ControllerSettings
@@ -21,7 +21,7 @@ from trajopt.errors import InputError, not_among, shown
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.robot.robot import Robot
 from trajopt.schedule.gaits import gait_names
-from trajopt.simulation.arm_drive import AXES, DELAY, PERIOD, ArmDrive, ToolSteering, since
+from trajopt.simulation.arm_drive import AXES, DELAY, PERIOD, ArmDrive, ToolSteering
 from trajopt.simulation.driven_scene import DrivenScene
 from trajopt.simulation.lockstep import DrivenMotion, Steering
 from trajopt.simulation.simulated import SimulatedMotion
@@ -204,8 +204,7 @@ class LegsDriver(PageController[Steering]):
 
     @override
     def recorded(self, driven: DrivenScene) -> DrivenMotion:
-        script = CommandScript(*zip(*since(self.log, driven.offset), strict=True))
-        return DrivenMotion.of(driven, self.steering, script, driven.timeline.until(driven.row))
+        return DrivenMotion.of(driven, self.steering, self.log, driven.timeline.until(driven.row))
 
     @override
     def height(self, time: float) -> float:

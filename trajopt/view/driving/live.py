@@ -91,7 +91,7 @@ class LiveDrive:
                 self._server.tell("state", self._painter.state(plan=turn % PLAN == 0))
             over = (leaving is not None and leaving()) or (exit_with_page and session.silent)
             if seconds is not None:
-                over = over or driven.passed >= seconds - LEAST or driven.fall is not None
+                over = over or driven.passed - driven.rises >= seconds - LEAST or driven.fall is not None
             return 0 if over else session.ticks(driven)
 
         session.driven.simulate(ticks)

@@ -29,6 +29,7 @@ class DriveSession:
         driver: the robot and its controller.
         clock: of real time; default: that of the machine.
         keep: length of the record, s; at least its last half can be saved.
+        lying: as of `trajopt.simulation.lockstep.drive`.
         hardware: fields of `SimulationSettings`; feet with a radius roll by default, and ``control_rate`` is
             `RATE` Hz.
 
@@ -47,12 +48,13 @@ class DriveSession:
         *,
         clock: WallClock | None = None,
         keep: float = KEPT,
+        lying: bool = False,
         **hardware: Any,
     ) -> None:
         self.driver, self.clock = driver, clock or WallClock()
         settings = SimulationSettings(**{"control_rate": RATE, "rolling": True, **hardware})
         self.driven = DrivenScene(
-            driver.robot, settings, keep, ground=driver.terrain, obstacles=driver.obstacles
+            driver.robot, settings, keep, ground=driver.terrain, obstacles=driver.obstacles, lying=lying
         )
         self._actions: deque[str] = deque()
         self._heard: float | None = None
@@ -80,7 +82,7 @@ class DriveSession:
         self._heard, self.silent = self.clock.now(), False
 
     def reset(self) -> None:
-        """Put the robot back into its stand, with a fresh controller."""
+        """Put the robot back into its start, with a fresh controller."""
         self.driver.stand()
         self.driver.begin()
         self.driven.begin(self.driver.steering, self.driver.height)
