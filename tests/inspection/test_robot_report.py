@@ -264,7 +264,7 @@ def test_command_prints_names_files_and_json(tmp_path: Path) -> None:
         (("nobody",), "robot 'nobody' is unknown"),
         (("nobody.urdf",), "does not exist"),
         (("nobody.py",), "does not exist"),
-        (("ur5", "--write", "mine.py"), "--write needs a .urdf or .xml file"),
+        (("ur5", "--write", "mine.py"), "--write needs a .urdf or .xml file, and ur5 is not one; allowed: "),
         ((str(URDF), "--base", "wheels"), "base of Robot.from_urdf is 'wheels'; allowed: freeflyer"),
         ((str(URDF), "--write", "mine.txt"), "a .py file in an existing folder"),
         ((str(URDF), "--write", "/nowhere/mine.py"), "a .py file in an existing folder"),

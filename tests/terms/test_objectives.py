@@ -23,12 +23,14 @@ from trajopt.solving.solving import prepare, solve
 from trajopt.terms import (
     REST,
     AccelerationCost,
+    CentreOfMassCost,
     Context,
     Cost,
     DistanceCost,
     FrameHeightCost,
     FramePose,
     FrameVelocity,
+    PostureCost,
     PowerCost,
     TerminalRest,
     TerminalState,
@@ -289,6 +291,18 @@ def test_bad_goals_are_refused_in_one_line():
 def test_bad_terms_are_refused(make):
     with pytest.raises(InputError):
         make()
+
+
+@pytest.mark.parametrize(
+    ("term", "message"),
+    [
+        (lambda: CentreOfMassCost(weight=1.0, path=lambda t: np.zeros(2)), "2 values at t = 0 s; allowed: 3"),
+        (lambda: PostureCost(weight=1.0, joints=()), "no joints; allowed: some of "),
+    ],
+)
+def test_a_path_in_a_plane_and_a_posture_of_no_joint_are_refused(term, message):
+    with pytest.raises(InputError, match=message):
+        prepare(reach(terms=(term(),)), intervals=6)
 
 
 @pytest.mark.parametrize(

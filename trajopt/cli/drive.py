@@ -122,8 +122,8 @@ def drive_command(
     """
     for name, option in (SCRIPTED if script is None else LIVE).items():
         if is_given(name):
-            how = "without" if script is None else "with"
-            raise InputError(f"{option} {how} --script", "allowed: see trajopt drive --help")
+            how, other = ("without", "with") if script is None else ("with", "without")
+            raise InputError(f"{option} {how} --script", f"allowed: {other} --script")
     if is_given("seed") and boxes is None and not hardware["noise"] and not hardware["sensor_noise"]:
         raise InputError("--seed has no effect here", "allowed: with --noise, --sensor-noise or --boxes")
     if script is None:

@@ -87,7 +87,7 @@ def _loaded(name: str, base: str | None, write: Path | None) -> Robot:
     for option, value in (("--base", base), ("--write", write)):
         if value is not None:
             what = f"{option} needs a .urdf or .xml file, and {name} is not one"
-            raise InputError(what, "a path that ends in .urdf or .xml")
+            raise InputError(what, "allowed: a path that ends in .urdf or .xml")
     return robot(name)
 
 

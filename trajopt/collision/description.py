@@ -280,7 +280,8 @@ def _disabled(robot: Robot) -> dict[frozenset[str], str]:
     except Tree.ParseError:
         return {}
     reasons = {frozenset((e.get("link1", ""), e.get("link2", ""))): e.get("reason", "") for e in entries}
-    return {pair: f"SRDF: {why}" for pair, why in reasons.items() if why.lower() not in JUDGED_REASONS}
+    left_out = {pair: why for pair, why in reasons.items() if why.lower() not in JUDGED_REASONS}
+    return {pair: f"SRDF: {why}" if why else "SRDF" for pair, why in left_out.items()}
 
 
 def _srdf_of(urdf: Path) -> Path | None:

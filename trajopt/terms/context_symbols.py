@@ -106,8 +106,13 @@ class Parameters:
         return self.parameter_values_at(0.0)
 
     def parameter_values_at(self, t: float) -> np.ndarray:
-        """Numeric values at nominal time ``t`` in s. Raises InputError for values that are not finite."""
-        parts = [value(t) if callable(value) else value for value in self._values]
+        """Numeric values at nominal time ``t`` in s. Raises InputError for another size or if not finite."""
+        parts = [np.ravel(value(t)) if callable(value) else value for value in self._values]
+        for part, symbol in zip(parts, self._parameters, strict=True):
+            if part.size != symbol.numel():
+                raise InputError(
+                    f"a term's reference has {part.size} values at t = {t:g} s", f"allowed: {symbol.numel()}"
+                )
         values = np.concatenate([np.zeros(0), *parts])
         if not np.all(np.isfinite(values)):
             raise InputError(f"a term's reference is not finite at t = {t:g} s", "allowed: finite numbers")

@@ -14,7 +14,7 @@ from typing_extensions import override
 
 from trajopt.arguments import NonNegative, UnitVector, checked
 from trajopt.dynamics.model_quantities import joints_of_rows
-from trajopt.errors import not_among
+from trajopt.errors import InputError, not_among
 from trajopt.robot.legs import wheel_rows
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
@@ -146,6 +146,8 @@ class PostureCost(Cost):
             return [row for row in rows if row not in wheel_rows(robot).values()]
         owners = joints_of_rows(robot.model)
         known = list(dict.fromkeys(owners[row] for row in rows))
+        if not self.joints:
+            raise InputError(f"{self.name} has no joints", f"allowed: some of {', '.join(known)}")
         for name in self.joints:
             if name not in known:
                 raise not_among(known, name, f"joint '{name}' of {self.name} is not actuated")
