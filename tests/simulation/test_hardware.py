@@ -268,7 +268,8 @@ def test_links_of_a_leg_have_the_ground_of_its_foot(stand: Solution) -> None:
         ),
         (
             {"ground_offsets": {"FL": 0.02}},
-            "ground_offsets of SimulationSettings for 'FL'; allowed: FL_FOOT, FR_FOOT, HL_FOOT, HR_FOOT",
+            "ground_offsets of SimulationSettings for 'FL'; did you mean FL_FOOT?"
+            " allowed: FL_FOOT, FR_FOOT, HL_FOOT, HR_FOOT",
         ),
     ],
 )

@@ -50,8 +50,10 @@ SIZES = (10, 8)
 ROUNDING = 1e-9
 # Largest variation of a least-time torque, limits a second, and the share of time that degree one may cost.
 CALM_RATE, LOST_TIME = 15.0, 5e-3
-# Least time of the UR5's carry at the degrees two to four, s, where its torques ring by 162 limits a second.
-CARRY_TIME = 0.5420
+# Least time of the UR5's carry at the degrees two to four, s, where a torque turns 302 times. To pass ball and
+# box with its body it switches eight times.
+CALM_TURNS = 20
+CARRY_TIME = 0.5433
 # Part of a uniform mesh's variables that refinement needs at most.
 FEWER = 0.6
 
@@ -289,7 +291,8 @@ def test_torques_that_ring_along_rate_limits_are_solved_at_degree_one():
 def test_a_body_carried_in_least_time_past_others_does_not_chatter():
     found = solve_graded(carried_past_bodies())
     assert found.report.ok
-    assert found.report.torque_variation < CALM_RATE * found.solution.t[-1]
+    assert not found.report.chatter
+    assert found.report.torque_reversals < CALM_TURNS
     assert found.solution.t[-1] == pytest.approx(CARRY_TIME, rel=LOST_TIME)
 
 

@@ -274,10 +274,16 @@ class CheckReport:
 
     @property
     def chatter(self) -> str:
-        """What to say of a torque that changes by more than `CHATTER` limits a second; empty otherwise."""
+        """What to say of a torque that changes by more than `CHATTER` limits a second; empty otherwise.
+
+        One that switches between its limits, and so changes by more than a limit from turn to turn, does not
+        chatter.
+        """
         sums, place = self.torque_variation, self.places.get("torque_variation")
         duration = self.phases[-1].end - self.phases[0].start if self.phases else 0.0
         if sums is None or place is None or not sums > CHATTER * duration > 0:
+            return ""
+        if (self.torque_reversals or 0.0) < sums:
             return ""
         rate = f"{sums / duration:.0f} limits a second, with {self.torque_reversals:.0f} turns"
         remedy = "larger weights on accelerations or torques calm it"

@@ -86,7 +86,7 @@ def test_it_trots_on_a_second_integrator(robot: Robot) -> None:
     assert robot.torque_limit is not None
     assert (np.abs(walk.torque) <= robot.torque_limit + 1e-9).all()
     assert controller.report.anew == 0
-    assert controller.follower.relaxed[0] == len(walk.q)
+    assert controller.report.ticks[0] == len(walk.q)
 
 
 def test_plans_made_by_a_thread_are_used_when_they_are_ready(robot: Robot) -> None:
