@@ -50,8 +50,8 @@ SIZES = (10, 8)
 ROUNDING = 1e-9
 # Largest variation of a least-time torque, limits a second, and the share of time that degree one may cost.
 CALM_RATE, LOST_TIME = 15.0, 5e-3
-# Least time of the UR5's carry at the degrees two to four, s, where a torque turns 302 times. To pass ball and
-# box with its body it switches eight times.
+# Least time of the UR5's carry at the degrees two to four, s, where a torque turns 302 times. To pass ball
+# and box with its body it switches eight times.
 CALM_TURNS = 20
 CARRY_TIME = 0.5433
 # Part of a uniform mesh's variables that refinement needs at most.
