@@ -117,7 +117,7 @@ def build(
         default_transcription="legendre:1" if goal == "time" else "legendre:2",
         payloads=dict.fromkeys(CARRIED, cube(arm, mass)) if mass > 0 else {},
         actuation=actuation,
-        more=arms.input_terms(actuation, goal),
+        more=arms.input_terms(arm.robot, actuation, goal),
     )
 
 

@@ -66,7 +66,7 @@ def build(
         parameters=dict(zip("xyz", goal.translation.tolist(), strict=True)) | {"duration": time},
         default_intervals=30,
         actuation=actuation,
-        more=arms.input_terms(actuation, "effort"),
+        more=arms.input_terms(arm.robot, actuation, "effort"),
     )
 
 

@@ -59,7 +59,7 @@ def transfer(
         default_intervals=2 * intervals if fast else intervals,
         default_transcription="legendre:1" if fast else "legendre:2",
         actuation=actuation,
-        more=arms.input_terms(actuation, goal),
+        more=arms.input_terms(robot, actuation, goal),
     )
 
 

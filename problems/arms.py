@@ -220,11 +220,13 @@ ACTUATION = common.choice(
 SMOOTH_JERK = {"effort": 1e-4, "time": 1e-5}
 
 
-def input_terms(actuation: str, goal: str) -> tuple[Term, ...]:
+def input_terms(robot: Robot, actuation: str, goal: str) -> tuple[Term, ...]:
     """Limits of accelerations and jerks, and a small cost on jerks, if they are the control input."""
     if actuation == "torque":
         return ()
-    return (AccelerationLimits(), JerkLimits(), JerkCost(weight=SMOOTH_JERK[goal]))
+    limits = {"acceleration": AccelerationLimits(), "jerk": JerkLimits()}
+    limited = [term for kind, term in limits.items() if np.isfinite(robot.joint_limit(kind)).any()]
+    return (*limited, JerkCost(weight=SMOOTH_JERK[goal]))
 
 
 def between(

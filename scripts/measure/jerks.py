@@ -16,6 +16,7 @@ from trajopt.terms import (
     JerkCost,
     JerkLimits,
     PositionLimits,
+    Term,
     TerminalRest,
     TerminalState,
     TimeCost,
@@ -55,7 +56,9 @@ def _row(what: str, solution: Solution, reference: float) -> None:
 
 def _problem(robot: Robot, start: np.ndarray, goal: np.ndarray, guess: float, intervals: int) -> Problem:
     still = (TerminalState(q=goal), TerminalRest(q=goal), Clearance(shapes=(), self_collision=False))
-    limits = (JerkLimits(), AccelerationLimits(), VelocityLimits(), PositionLimits())
+    limits: list[Term] = [JerkLimits(), VelocityLimits(), PositionLimits()]
+    if np.isfinite(robot.joint_limit("acceleration")).any():
+        limits.append(AccelerationLimits())
     return Problem(
         name="move",
         robot=robot,

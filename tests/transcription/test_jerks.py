@@ -37,7 +37,8 @@ def slider(**limits: float) -> Robot:
 
 def least_time(robot: Robot, speed: float = np.inf, actuation: str = "jerk", **changes: object) -> Problem:
     """From rest to rest over `WAY` in least time."""
-    limits = (AccelerationLimits(), terms.VelocityLimits(), *([JerkLimits()] if actuation == "jerk" else []))
+    known = {"acceleration": AccelerationLimits(), "jerk": JerkLimits()}
+    limits = [term for kind, term in known.items() if np.isfinite(robot.joint_limit(kind)).any()]
     goal = np.array([WAY])
     given = {
         "name": "slide",
@@ -46,6 +47,7 @@ def least_time(robot: Robot, speed: float = np.inf, actuation: str = "jerk", **c
         "terms": (
             terms.TimeCost(weight=1.0),
             *limits,
+            terms.VelocityLimits(),
             terms.TerminalState(q=goal),
             terms.TerminalRest(q=goal),
         ),
@@ -212,6 +214,7 @@ test_what_jerks_do_not_model_is_refused_in_one_line = refused_calls(
     (lambda: trajopt.robot("ur5").with_joint_limits([JointLimits(joint="elbow", jerk=1.0)]), "elbow"),
     (lambda: JointLimits(joint="elbow_joint", jerk=0.0), "jerk"),
     (lambda: JerkLimits(limit=[-1.0]), "limit"),
+    (lambda: replace(REACH, actuation="jerk", terms=(*REACH.terms, JerkLimits())), "no limit of jerk"),
     (
         lambda: prepare(replace(REACH, actuation="jerk", terms=(*REACH.terms, JerkLimits(limit=[1.0])))),
         "shape",

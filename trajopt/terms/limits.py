@@ -17,6 +17,7 @@ from trajopt.kinds import ArrayShape
 from trajopt.robot.actuators.joint_limits import HigherLimit
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
+from trajopt.schedule.schedule import Schedule
 from trajopt.terms.context import Context
 from trajopt.terms.interfaces import NodeConstraint, NodePlace, PointConstraint, Rows, Term
 
@@ -193,6 +194,10 @@ class AccelerationLimits(PointConstraint):
         limit = _higher_limit(self, self.limit, context, "acceleration")
         return _rows_within(lambda: context.ddxi, -limit, limit, units.acceleration)
 
+    @override
+    def idle(self, robot: Robot, schedule: Schedule) -> str:
+        return _unlimited(self.limit, robot, "acceleration") or super().idle(robot, schedule)
+
 
 @dataclass(frozen=True, kw_only=True)
 class LimitsAtNodes(NodeConstraint):
@@ -240,6 +245,10 @@ class JerkLimits(PointConstraint):
         limit = _higher_limit(self, self.limit, context, "jerk")
         return _rows_within(lambda: context.dddxi, -limit, limit, units.jerk)
 
+    @override
+    def idle(self, robot: Robot, schedule: Schedule) -> str:
+        return _unlimited(self.limit, robot, "jerk") or super().idle(robot, schedule)
+
 
 def _require_limits(term: str, limit: np.ndarray | None, unit: str) -> None:
     given = np.atleast_1d(np.asarray(0.0 if limit is None else limit, dtype=float))
@@ -247,6 +256,12 @@ def _require_limits(term: str, limit: np.ndarray | None, unit: str) -> None:
         raise InputError(
             f"limit of {term} holds {given[~(given >= 0)][0]:g}", f"allowed: numbers >= 0, or inf, {unit}"
         )
+
+
+def _unlimited(limit: np.ndarray | None, robot: Robot, kind: HigherLimit) -> str:
+    """Why a term limits nothing; empty if it does."""
+    rows = robot.joint_limit(kind) if limit is None else np.asarray(limit, dtype=float)
+    return "" if np.isfinite(rows).any() else f"robot '{robot.name}' has no limit of {kind}"
 
 
 def _higher_limit(term: Term, limit: np.ndarray | None, context: Context, kind: HigherLimit) -> np.ndarray:
