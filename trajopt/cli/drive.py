@@ -221,7 +221,7 @@ def _robot(name: str, payload: str | None) -> Robot:
     mass, *where = payload.split(",")
     at, *place = where or [robot.model.frames[-1].name if robot.base == "fixed" else robot.model.names[1]]
     try:
-        numbers = [float(part) for part in (mass, *(place or "000"))]
+        numbers = [float(part) for part in (mass, *(place or ["0", "0", "0"]))]
     except ValueError:
         raise InputError(f"--payload is '{payload}'", "allowed: MASS[,FRAME[,X,Y,Z]], numbers") from None
     return with_mass(robot, numbers[0], at, numbers[1:])

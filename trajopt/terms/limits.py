@@ -191,7 +191,7 @@ class AccelerationLimits(PointConstraint):
 
     @override
     def rows(self, context: Context, units: Units) -> Rows | None:
-        limit = _higher_limit(self, self.limit, context, "acceleration")
+        limit = _fitting_limit(self, self.limit, context, "acceleration")
         return _rows_within(lambda: context.ddxi, -limit, limit, units.acceleration)
 
     @override
@@ -242,7 +242,7 @@ class JerkLimits(PointConstraint):
 
     @override
     def rows(self, context: Context, units: Units) -> Rows | None:
-        limit = _higher_limit(self, self.limit, context, "jerk")
+        limit = _fitting_limit(self, self.limit, context, "jerk")
         return _rows_within(lambda: context.dddxi, -limit, limit, units.jerk)
 
     @override
@@ -258,15 +258,20 @@ def _require_limits(term: str, limit: np.ndarray | None, unit: str) -> None:
         )
 
 
+def _higher_limit(limit: np.ndarray | None, robot: Robot, kind: HigherLimit) -> np.ndarray:
+    """The limits (nv,) that are given, or else the robot's."""
+    return robot.joint_limit(kind) if limit is None else np.asarray(limit, dtype=float)
+
+
 def _unlimited(limit: np.ndarray | None, robot: Robot, kind: HigherLimit) -> str:
     """Why a term limits nothing; empty if it does."""
-    rows = robot.joint_limit(kind) if limit is None else np.asarray(limit, dtype=float)
-    return "" if np.isfinite(rows).any() else f"robot '{robot.name}' has no limit of {kind}"
+    limited = np.isfinite(_higher_limit(limit, robot, kind)).any()
+    return "" if limited else f"robot '{robot.name}' has no limit of {kind}"
 
 
-def _higher_limit(term: Term, limit: np.ndarray | None, context: Context, kind: HigherLimit) -> np.ndarray:
+def _fitting_limit(term: Term, limit: np.ndarray | None, context: Context, kind: HigherLimit) -> np.ndarray:
     """The limits (nv,) of a term, given or the robot's. Raises `InputError` for another shape."""
-    rows = context.robot.joint_limit(kind) if limit is None else np.asarray(limit, dtype=float)
+    rows = _higher_limit(limit, context.robot, kind)
     if rows.shape != (context.robot.nv,):
         raise InputError(f"limit of {term.name} has shape {rows.shape}", f"allowed: ({context.robot.nv},)")
     return rows

@@ -155,13 +155,13 @@ class TermFunctions:
         time_scales = context.z[before.time_scales.tolist()] if before.n_time_scales else ca.SX(0, 1)
         if after.coordinates is before.coordinates:
             n = len(before.rotations) + len(before.additive)
-            configuration, rates, second = context.z[:n], context.rates, context.second
+            configuration, rates = context.z[:n], context.rates
         else:
             state = self._mapped(context, before, after)
             n = state.numel() - after.coordinates.nv
-            configuration, rates, second = state[:n], state[n:], context.second
+            configuration, rates = state[:n], state[n:]
         ratio = ca.SX(1) if after.time_scale is None else time_scales[after.time_scale]
-        parts = [configuration, ratio * rates, ratio**2 * second][: after.order]
+        parts = [configuration, ratio * rates, ratio**2 * context.second][: after.order]
         return _plain("change", context.z, [*parts, time_scales])
 
     def _mapped(self, context: Context, before: NodeLayout, after: NodeLayout) -> ca.SX:
