@@ -16,7 +16,7 @@ def similar(robot: Robot, *, mass: float = 1.0, length: float = 1.0, gravity: fl
     """The robot with every mass, length and its gravity multiplied: dynamically similar to itself.
 
     Times scale by sqrt(length / gravity), forces by mass gravity, torques by mass gravity length, and so do
-    all limits. Drives are not scaled.
+    all limits. Drives are not scaled; shapes, which its files have in one size, stay only at that size.
     """
     force, time = mass * gravity, math.sqrt(length / gravity)
     linear = sliding_rows(robot.model)
@@ -51,6 +51,7 @@ def similar(robot: Robot, *, mass: float = 1.0, length: float = 1.0, gravity: fl
         position_upper=longer(robot, robot.position_upper, length),
         contacts=soles,
         given_length=None if given is None else length * given,
+        visual=robot.visual if length == 1.0 else None,
     )
 
 
