@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 grade_options = option_group(
     click.option("--draft", is_flag=True, help="Solve on the first, coarse mesh only."),
     click.option("--fixed-mesh", is_flag=True, help="Solve on the problem's own mesh."),
+    click.option("--gains", is_flag=True, help="Give the motion its feedback gains."),
 )
 
 # Settings that every solve for the same command shares.

@@ -55,9 +55,9 @@ class ControllerName(click.Choice[str]):
     "--controller",
     "joints",
     "NAME",
-    f"Feedback of single joints, whole-body, or {REPLANNING}: plans made anew at each tick; or a FILE.py of "
-    "your own with build(plan).",
-    kind=ControllerName(["joints", "whole-body", REPLANNING]),
+    f"Feedback of single joints, by the plan's gains, whole-body, or {REPLANNING}: plans made anew at each "
+    "tick; or a FILE.py of your own with build(plan).",
+    kind=ControllerName(["joints", "gains", "whole-body", REPLANNING]),
 )
 @choice_option("--qp-solver", ["piqp", "proxqp", "osqp"], "Of the programs of the whole body.")
 @default_option("--cycles", 1, "N", "Cycles of a periodic plan.", kind=COUNT)
@@ -199,8 +199,8 @@ def walk_command(
 @output_option("OUT", "Plot to a .png, .svg or .pdf file.")
 @click.option(
     "--controller",
-    type=click.Choice(["joints", "whole-body"]),
-    help="Measure one controller alone.  [default: both]",
+    type=click.Choice(["joints", "gains", "whole-body"]),
+    help="Measure one controller alone.  [default: all that the plan has]",
 )
 @value_option("--directions", "N", "Directions, evenly around the robot.  [default: 8; 2 in a plane]", COUNT)
 @value_option(
@@ -220,14 +220,14 @@ def push_command(
     A push is a level impulse on the base, over a tenth of sqrt(l / g), l the robot's reach; it is survived if
     the robot does not fall. Directions are degrees from the base's front, counter-clockwise.
     """
-    from trajopt.simulation.push import CONTROLLERS, largest_pushes
+    from trajopt.simulation.push import largest_pushes
     from trajopt.view.plotting.writing import check_push_plot, write_push_plot
 
     check_apart([output], [file])
     if output is not None:
         check_push_plot(output)
     plan = load_plan(file)
-    chosen = CONTROLLERS if controller is None else (controller,)
+    chosen = None if controller is None else (controller,)
     with busy(f"pushing {file} in MuJoCo"):
         report = largest_pushes(plan, controllers=chosen, **settings)
         if output is not None:

@@ -51,7 +51,7 @@ if TYPE_CHECKING:
         "Start": "start ladder compare seed perturb",
         "Solver": "solver hessian tolerance max_iterations max_time threads solver_options",
         "Watching": "watch log diagnosed",
-        "Output": "output as_json",
+        "Output": "gains output as_json",
     },
 )
 @click.argument("problem")
@@ -124,6 +124,8 @@ def solve_command(
             "--nearest is given with another way of solving",
             "allowed: without --smallest, --keep, --ladder, --compare, --accuracy and --budget",
         )
+    if arguments["gains"] and (smallest or keep):
+        raise InputError("--gains of the smallest model", "allowed: without --smallest and --keep")
     scene: SmallestScene | None = None
     if smallest or explain or keep:
         from trajopt.reduced.scenes.smallest_scene import smallest as smallest_scene

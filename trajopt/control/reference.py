@@ -82,10 +82,12 @@ class ReferenceTrajectory(SampledMotion, ContactTimeline):
     ends within it.
 
     Args:
+        plan: what is sampled.
         end: configuration (nq,) at the end of the plan.
         shortest: duration of the shortest phase, s.
     """
 
+    plan: Solution
     end: np.ndarray
     shortest: float
 
@@ -123,6 +125,7 @@ def reference_of(
     reference = ReferenceTrajectory(
         **vars(replace(motion, t=motion.t + number * (last - start))),
         period=period,
+        plan=plan,
         end=end,
         shortest=min(plan.phase_durations),
     )

@@ -9,6 +9,7 @@ import numpy as np
 
 from trajopt.export.archives import contact_arrays, names_array, write_archive
 from trajopt.export.exported_motion import ExportedMotion
+from trajopt.motion.cycles import gains_in_passes
 from trajopt.robot.mujoco_package import mujoco_package, muted_mujoco
 from trajopt.simulation.joint_feedback import gains_of
 from trajopt.simulation.mjcf import mjcf_of_scene
@@ -24,6 +25,8 @@ FREE_VELOCITY = ("/linear_x", "/linear_y", "/linear_z", "/angular_x", "/angular_
 
 def write_mujoco_playback(motions: Sequence[ExportedMotion], path: Path, options: Mapping[str, Any]) -> None:
     """Write one motion: the MJCF, and times, torques, states and feedback gains as arrays and as a table.
+
+    ``gain`` (n, nu, 2 nv) are the gains of a plan that has them, in MuJoCo's coordinates.
 
     Raises `InputError` for a model that MJCF cannot express, and without MuJoCo.
     """
@@ -55,7 +58,8 @@ def _playback_arrays(motion: ExportedMotion, scene: Scene) -> dict[str, np.ndarr
         qpos[:, place] = angle[:, None]  # counts turns even if samples are far apart
     period = float(scene.compiled.opt.timestep)  # feedback acts at every physics step
     gains = gains_of(scene, motion, period, SimulationSettings())
-    return {
+    whole = {} if motion.plan.gain is None else {"gain": _plan_gains(motion, scene, qpos)}
+    return whole | {
         "time": motion.t,
         "ctrl": motion.drive_torque,
         "qpos": qpos,
@@ -64,6 +68,29 @@ def _playback_arrays(motion: ExportedMotion, scene: Scene) -> dict[str, np.ndarr
         "kd": gains.kd,
         "eq_active": _held_grasps(motion, scene),
     }
+
+
+def _plan_gains(motion: ExportedMotion, scene: Scene, qpos: np.ndarray) -> np.ndarray:
+    """Gains (n, nu, 2 nv) on differences by ``mj_differentiatePos`` and of ``qvel``.
+
+    A base's linear velocity in its own axes also changes as they turn.
+    """
+    plan, nv = motion.plan, motion.model.nv
+    number = (motion.phase - motion.source) // len(plan.phase_names)
+    begun, ended = plan.interval_t[0, 0], plan.interval_t[-1, 1]
+    times = np.clip(motion.t - number * (ended - begun) + begun, begun, ended)
+    gains = gains_in_passes(plan, times, number)
+    place, rate = gains[..., :nv].copy(), gains[..., nv:]
+    base, turning = motion.base, motion.v[:, None, :3]
+    if base == "freeflyer":
+        place[..., 3:6] += np.cross(rate[..., :3], turning)
+    elif base == "planar":
+        place[..., 2] += rate[..., 0] * turning[..., 1] - rate[..., 1] * turning[..., 0]
+    parts = [
+        scene.coordinates.rates_to_mujoco(np.repeat(qpos, gains.shape[1], axis=0), part.reshape(-1, nv))
+        for part in (place, rate)
+    ]
+    return np.concatenate([part.reshape(place.shape) for part in parts], axis=-1)
 
 
 def _held_grasps(motion: ExportedMotion, scene: Scene) -> np.ndarray:

@@ -140,6 +140,7 @@ def samples_at(plan: Solution, numbers: np.ndarray, fractions: np.ndarray, motio
         row_multiplier=None,
         row_place=None,
         bound_multiplier=None,
+        gain=None,
         **dict.fromkeys(REQUESTS),
         **vars(motion),
     )

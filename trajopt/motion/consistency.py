@@ -36,10 +36,11 @@ OTHERS: dict[str, type] = {
     "row_multiplier": float,
     "row_place": int,
     "bound_multiplier": float,
+    "gain": float,
     **REQUESTS,
 }
 # Arrays that may be absent from a solution.
-OPTIONAL = (*REQUESTS, "impulse", "impact_index", "row_multiplier", "row_place", "bound_multiplier")
+OPTIONAL = (*REQUESTS, "impulse", "impact_index", "row_multiplier", "row_place", "bound_multiplier", "gain")
 # Arrays of points that are NaN where there is no point.
 GOALS = ("com_goal", "foot_goal")
 
@@ -176,6 +177,7 @@ def _wrong_shape(
         _wrong_impacts(arrays, contacts)
         or _wrong_multipliers(arrays, statistics.row_names)
         or _wrong_requests(arrays, contacts)
+        or _wrong_gain(arrays, model)
     )
 
 
@@ -189,6 +191,13 @@ def _wrong_multipliers(arrays: _Arrays, names: tuple[str, ...]) -> str:
         return f"'row_place' has shape {place.shape}, expected (R, 3) with R as 'row_multiplier'"
     if not np.isin(place[:, 0], np.arange(len(names))).all():
         return f"'row_place' names blocks that are not within 0 to {len(names) - 1}"
+    return ""
+
+
+def _wrong_gain(arrays: _Arrays, model: pin.Model) -> str:
+    gain, expected = arrays.get("gain"), (len(arrays["interval_t"]), arrays["tau"].shape[-1], 2 * model.nv)
+    if gain is not None and gain.shape != expected:
+        return f"'gain' has shape {gain.shape}, expected {expected}"
     return ""
 
 

@@ -83,17 +83,37 @@ class CycleImage:
             v=v,
             a=self.sign * motion.a[:, self.index],
             angle=self.sign[turning] * motion.angle[:, [turning.index(row) for row in self.index[turning]]],
-            tau=self._of_torques(motion.tau),
-            drive_torque=self._of_torques(motion.drive_torque),
+            tau=self.of_torques(motion.tau),
+            drive_torque=self.of_torques(motion.drive_torque),
             f=np.concatenate([force, moment], axis=-1),
             active=motion.active[:, self.contacts],
         )
 
-    def _of_torques(self, torque: np.ndarray) -> np.ndarray:
+    def of_gains(self, gains: np.ndarray) -> np.ndarray:
+        """Images of feedback gains (n, nu, 2 nv), see `Solution.gains`."""
+        columns = np.concatenate([self.index, self.index + len(self.index)])
+        turned = np.moveaxis(np.tile(self.sign, 2) * gains[:, :, columns], 1, 2)
+        image = self.of_torques(turned.reshape(-1, gains.shape[1]))
+        return np.moveaxis(image.reshape(turned.shape), 2, 1)
+
+    def of_torques(self, torque: np.ndarray) -> np.ndarray:
+        """Images of torques (n, nu)."""
         image, joints = torque.copy(), len(self.actuated)
         columns = np.searchsorted(self.actuated, self.index[self.actuated])
         image[:, :joints] = self.sign[self.actuated] * torque[:, columns]
         return image
+
+
+def gains_in_passes(plan: Solution, times: np.ndarray, number: np.ndarray) -> np.ndarray:
+    """Return feedback gains (n, nu, 2 nv) of a plan at ``times`` (n,) in passes ``number`` (n,).
+
+    Times are those of the plan, s. Raises `InputError` for a plan without gains.
+    """
+    gains = plan.gains(times)
+    for past in range(int(number.max(initial=0))):
+        later = number > past
+        gains[later] = CycleImage.of(plan).of_gains(gains[later])
+    return gains
 
 
 def in_passes(plan: Solution, motion: SampledMotion, number: np.ndarray) -> SampledMotion:

@@ -47,6 +47,7 @@ class Solution(RobotMotion):
     row_multiplier, row_place, bound_multiplier: (R,) multipliers of the NLP's rows, (R, 3) each row's block
         (index in ``statistics.row_names``), stage and point, (X,) multipliers of variable bounds, in the
         solver's scaled units, for warm starts. None without multipliers.
+    gain: (I, nu, 2 nv) feedback gains at the start of each interval, see `gains`; None without gains.
     asked_force, com_goal, foot_goal: (K, nc, 6), (K, 3), (K, nc, 3) requests of a whole-body controller in a
         simulation (`trajopt.control.TickRequest`): contact forces as ``f``, and goals for the centre of mass
         and for contact frames in the air, m, NaN without a request. None without a controller.
@@ -64,6 +65,7 @@ class Solution(RobotMotion):
     row_multiplier: np.ndarray | None = None
     row_place: np.ndarray | None = None
     bound_multiplier: np.ndarray | None = None
+    gain: np.ndarray | None = None
     asked_force: np.ndarray | None = None
     com_goal: np.ndarray | None = None
     foot_goal: np.ndarray | None = None
@@ -165,6 +167,37 @@ class Solution(RobotMotion):
     def normalized(self) -> Solution:
         """Return the solution with unit quaternions."""
         return replace(self, q=np.array([pin.normalize(self.model, row) for row in self.q]))
+
+    def gains(self, times: ArrayLike | None = None, *, side: Side = "after") -> np.ndarray:
+        """Return feedback gains (n, nu, 2 nv): the derivative of the optimal torques in the state.
+
+        ``tau + K @ [pin.difference(model, q, q_measured), v_measured - v]`` are to first order the torques
+        with which the best motion from a measured state to the plan's goals begins. Units are N m (N) per rad
+        (m), and per rad/s (m/s).
+
+        Args:
+            times: (n,) s, within the motion; default: the K samples. Gains are linear between the starts of
+                a phase's intervals, and constant after the last.
+            side: "after" or "before" a node, as in `sample`.
+
+        Raises:
+            InputError: For a plan without gains, and for times outside the motion.
+        """
+        if self.gain is None:
+            raise InputError("the plan has no gains", "allowed: plans of trajopt.solve(problem, gains=True)")
+        start, end = self.interval_t.T
+        if times is None:
+            number = self.interval
+            fraction = (self.t - start[number]) / (end - start)[number]
+        else:
+            number, fraction = located(
+                self.interval_t, sample_times(self.interval_t, self.t, None, times), side
+            )
+        phase = self.phase[np.searchsorted(self.interval, np.arange(self.n_intervals))]
+        after = np.minimum(number + 1, self.n_intervals - 1)
+        after = np.where(phase[after] == phase[number], after, number)
+        weight = np.asarray(fraction)[:, None, None]
+        return np.asarray((1 - weight) * self.gain[number] + weight * self.gain[after])
 
     def sample(
         self,

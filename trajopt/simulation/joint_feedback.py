@@ -21,9 +21,10 @@ from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
+from typing_extensions import override
 
 from trajopt.control.reference import ReferenceTrajectory
-from trajopt.motion.cycles import moving_rows
+from trajopt.motion.cycles import gains_in_passes, moving_rows
 from trajopt.motion.sampled_motion import SampledMotion
 from trajopt.robot.mujoco_package import mujoco_package
 from trajopt.simulation.bodies import write_inertias
@@ -71,6 +72,34 @@ class JointFeedback:
         torque = reference.drive_torque[k].copy()
         torque[: len(rows)] += self.gains.kp[k] * error + self.gains.kd[k] * (reference.v[k] - v)[rows]
         return torque
+
+
+class PlanFeedback(JointFeedback):
+    """Feedback of the whole state with the gains of the plan; single joints hold its end.
+
+    The torques of a period are tau = tau_plan + K (x - x_plan), see `Solution.gains`. Cycles repeat them,
+    mirrored as the motion is.
+
+    Raises `InputError` for a plan without gains.
+    """
+
+    def __init__(self, scene: Scene, reference: ReferenceTrajectory, settings: SimulationSettings) -> None:
+        super().__init__(scene, reference, settings)
+        plan = self._plan = reference.plan
+        plan.gains(times=plan.interval_t[:1, 0])  # refused before the first tick
+        self._number = (reference.phase - reference.source) // len(plan.phase_names)
+        first = np.searchsorted(self._number, self._number)
+        self._times = plan.interval_t[0, 0] + (np.arange(len(first)) - first) * reference.period
+
+    @override
+    def torque(self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray) -> np.ndarray:
+        reference, k = self._reference, round(t / self._reference.period)
+        if k >= reference.planned:
+            return super().torque(t, q, v, touching)
+        now = slice(k, k + 1)
+        gain = gains_in_passes(self._plan, self._times[now], self._number[now] % 2)[0]
+        change = pin.difference(self._plan.model, reference.q[k], q), v - reference.v[k]
+        return np.asarray(reference.drive_torque[k] + gain @ np.concatenate(change))
 
 
 def gains_of(scene: Scene, motion: SampledMotion, period: float, settings: SimulationSettings) -> Gains:

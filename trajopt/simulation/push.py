@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import ClassVar
+from typing import ClassVar, get_args
 
 import numpy as np
 from typing_extensions import override
@@ -41,7 +41,7 @@ FIRST, MOST, LEAST = 0.05, 2.0, 0.003
 DIRECTIONS, IN_A_PLANE = 8, 2
 # Natural times between two tests for a fall.
 STRETCH = 0.25
-CONTROLLERS: tuple[Controller, ...] = ("joints", "whole-body")
+COMPARED: tuple[Controller, ...] = ("joints", "whole-body")
 # Names of directions, by angle in degrees.
 NAMES = {0.0: "forward", 90.0: "left", 180.0: "backward", 270.0: "right"}
 
@@ -79,7 +79,7 @@ class PushReport(FigureReport):
     @property
     def ratios(self) -> tuple[float, ...]:
         """Impulses (n,) of the whole body over those of the joints; empty unless both were measured."""
-        pairs = zip(*(self.impulses.get(name, ()) for name in CONTROLLERS), strict=False)
+        pairs = zip(*(self.impulses.get(name, ()) for name in COMPARED), strict=False)
         return tuple(whole / joints if joints else math.nan for joints, whole in pairs)
 
     @property
@@ -125,7 +125,7 @@ class PushReport(FigureReport):
 def largest_pushes(
     solution: SolutionOrFile,
     *,
-    controllers: Sequence[Controller] = CONTROLLERS,
+    controllers: Sequence[Controller] | None = None,
     directions: PositiveCount | None = None,
     time: NonNegative | None = None,
     cycles: PositiveCount | None = None,
@@ -138,7 +138,7 @@ def largest_pushes(
 
     Args:
         solution: the plan, or the path of its file.
-        controllers: "joints", "whole-body", or both.
+        controllers: of "joints", "gains" and "whole-body". None: all, without "gains" if the plan has none.
         directions: number of directions, evenly spaced from the front, counter-clockwise. None: eight, or two
             in a plane, front and back, where no other number is allowed.
         time: of the push, s from the start of the plan. None: the middle of a periodic plan's cycles; the end
@@ -151,11 +151,12 @@ def largest_pushes(
             is vertical, other than two directions in a plane, or a plan that cannot be simulated.
     """
     plan = require_motion(solution_of(solution))
-    kind, wanted = plan.base, tuple(dict.fromkeys(controllers))
+    every = [name for name in get_args(Controller) if name != "gains" or plan.gain is not None]
+    kind, wanted = plan.base, tuple(dict.fromkeys(every if controllers is None else controllers))
     if kind == "fixed":
         raise InputError("a push on the base, which is fixed", "allowed: robots with a moving base")
     if not wanted:
-        raise InputError("controllers of largest_pushes is empty", f"allowed: {', '.join(CONTROLLERS)}")
+        raise InputError("controllers of largest_pushes is empty", f"allowed: {', '.join(every)}")
     if kind == "planar" and directions not in (None, IN_A_PLANE):
         raise InputError(
             f"directions of largest_pushes is {directions}, of a robot in a plane", f"allowed: {IN_A_PLANE}"

@@ -26,8 +26,9 @@ _Share = Annotated[float, Range(0.0, 1.0)]
 _Offset = Annotated[float, Range(-FARTHEST, FARTHEST)]
 
 
-# Feedback of single joints, or a quadratic program for the whole body at each tick (`trajopt.control`).
-Controller = Literal["joints", "whole-body"]
+# Feedback of single joints, by the plan's gains, or a quadratic program for the whole body at each tick
+# (`trajopt.control`).
+Controller = Literal["joints", "gains", "whole-body"]
 
 
 @runtime_checkable
@@ -111,8 +112,8 @@ class SimulationSettings:
         cycles: repetitions of a periodic plan.
         push: horizontal force on the base, N, to its left (planar: front) in the motion's middle tenth.
         rolling: whether contacts with a radius roll as balls or turn about their centres; None: as planned.
-        controller: "joints", "whole-body", or an object with the method of `TorqueController`, such as a
-            `Tracker`.
+        controller: "joints", "gains" (of a plan that has them), "whole-body", or an object with the method of
+            `TorqueController`, such as a `Tracker`.
         gains: of the controller "whole-body"; None: the default ones.
         qp_solver: of the controller "whole-body".
         impulse: another push, of any direction and time, see `Impulse`; or several.

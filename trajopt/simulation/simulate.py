@@ -19,7 +19,7 @@ from trajopt.motion.input import SolutionOrFile, require_motion, solution_of
 from trajopt.motion.solution import Solution
 from trajopt.robot.mujoco_package import muted_mujoco
 from trajopt.simulation import figures
-from trajopt.simulation.joint_feedback import JointFeedback
+from trajopt.simulation.joint_feedback import JointFeedback, PlanFeedback
 from trajopt.simulation.record import SimulationRecord
 from trajopt.simulation.report import ContactReport, SimulationReport, TickReport
 from trajopt.simulation.run import SimulationRun, Start
@@ -95,6 +95,8 @@ def _controller(
     given = settings.controller
     if given == "joints":
         return JointFeedback(scene, reference, settings)
+    if given == "gains":
+        return PlanFeedback(scene, reference, settings)
     if given == "whole-body":
         gains = settings.gains or TrackerGains()
         return Tracker.of_reference(reference, settings.control_rate, gains, settings.qp_solver)

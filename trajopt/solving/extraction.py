@@ -67,7 +67,9 @@ def extract(transcription: Transcription, x: np.ndarray, **statistics: Any) -> S
     columns: dict[str, list[np.ndarray]] = {name: [] for name in ("t", "q", "v", "a", "tau", "f")}
     for k in layout.interval_stages:
         phase = int(layout.phase_of[k])
-        interval = _interval(problem, layout, unknowns, int(k), float(steps[k]), float(time_scales[phase]))
+        interval = interval_samples(
+            problem, layout, unknowns, int(k), float(steps[k]), float(time_scales[phase])
+        )
         scheme = layout.scheme_of(phase)
         inner = times[k] + scheme.c * steps[k]
         columns["t"].append(np.concatenate([[times[k]], inner, [times[k + 1]]]))
@@ -139,7 +141,7 @@ def _widths(layout: Layout, stages: np.ndarray) -> np.ndarray:
     return np.array([layout.scheme_of(int(layout.phase_of[k])).s + 2 for k in stages], dtype=int)
 
 
-def _interval(
+def interval_samples(
     problem: Problem, layout: Layout, unknowns: np.ndarray, k: int, h: float, time_scale: float
 ) -> dict[str, np.ndarray]:
     """Return the motion of the whole robot by the collocation map, and torques by numeric Pinocchio.

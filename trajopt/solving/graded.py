@@ -22,6 +22,7 @@ from trajopt.problem.problem import Problem
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.robot.units import Units
 from trajopt.solving.exchange import Exchange
+from trajopt.solving.feedback import require_gains
 from trajopt.solving.refinement import USUAL_SCHEME, Refinement
 from trajopt.solving.rounds import Graded, Round, phase_errors
 from trajopt.solving.solving import solve as solve_on_mesh
@@ -76,6 +77,7 @@ def solve(
     mesh: Mesh | None = None,
     fixed_mesh: bool = False,
     draft: bool = False,
+    gains: bool = False,
     **settings: Any,
 ) -> Solution:
     """Solve a problem until its motion passes the check at all times; never raises if it does not.
@@ -90,6 +92,7 @@ def solve(
         mesh: The fixed mesh, instead of the two above.
         fixed_mesh: Keep the mesh, which is the problem's own if none is given.
         draft: Stop after one round on the first mesh.
+        gains: Give the motion its feedback gains, see `Solution.gains`.
         **settings: Arguments of `trajopt.solving.solving.solve`.
 
     Returns:
@@ -104,8 +107,9 @@ def solve(
         if draft:
             raise InputError("a draft and a mesh are both asked for", "allowed: one of them")
         fixed = chosen_mesh(problem, transcription, intervals, mesh)
-        return solve_graded(problem, mesh=fixed, refine=False, **settings).solution
-    return solve_graded(problem, max_rounds=1 if draft else MOST_ROUNDS, **settings).solution
+        return solve_graded(problem, mesh=fixed, refine=False, gains=gains, **settings).solution
+    rounds = 1 if draft else MOST_ROUNDS
+    return solve_graded(problem, max_rounds=rounds, gains=gains, **settings).solution
 
 
 def solve_graded(
@@ -120,6 +124,7 @@ def solve_graded(
     max_rounds: int = MOST_ROUNDS,
     refine: bool = True,
     solver_time: bool = False,
+    gains: bool = False,
     **settings: Any,
 ) -> Graded:
     """Solve a problem until its motion is within ``tolerances`` at all times, or refinement ends.
@@ -139,6 +144,7 @@ def solve_graded(
         max_rounds: Largest number of motions that are checked; with one the result is a draft.
         refine: If False, keep the first mesh and only add collision rows.
         solver_time: Whether the time limit counts only the solver's time.
+        gains: Give a motion that converged its feedback gains, see `Solution.gains`.
         **settings: Arguments of `trajopt.solve`; the time limit applies to all solves, guesses and checks
             together, the iteration limit to each solve.
 
@@ -150,6 +156,8 @@ def solve_graded(
         require_positive("accuracy", accuracy, "m")
         wanted = tolerance_for(accuracy, NaturalUnits.of(problem.robot.model).length)
         settings["tolerance"] = min(settings.get("tolerance", USUAL_TOLERANCE), wanted)
+    if gains:
+        require_gains(problem)
     if problem.dynamics_kind == "own":
         mesh = mesh or chosen_mesh(problem)
         solution = first or solve_on_mesh(problem, mesh=mesh, start=start, **{**settings, "judge": False})
@@ -166,7 +174,8 @@ def solve_graded(
         if alike and mesh is None:
             mesh = mesh_of(start)
     loop = Refinement(problem, tolerances, refine, settings, known, accuracy, solver_time)
-    return loop.result(loop.run(mesh or first_mesh(problem, accuracy is not None), start, first, max_rounds))
+    why = loop.run(mesh or first_mesh(problem, accuracy is not None), start, first, max_rounds)
+    return loop.result(why, gains)
 
 
 @checked

@@ -25,6 +25,7 @@ from trajopt.robot.natural_units import NaturalUnits
 from trajopt.solvers.ipopt import IPOPT_PUSHED
 from trajopt.solvers.result import LEAST_TIME, Option
 from trajopt.solving.exchange import Exchange
+from trajopt.solving.feedback import with_gains
 from trajopt.solving.remeshing import PhaseErrors, remeshed
 from trajopt.solving.rounds import (
     INTERRUPTED,
@@ -72,9 +73,10 @@ MOST_FIRST = 200
 
 @dataclass(frozen=True)
 class _Examined:
-    """A solution with its examination, and its accuracy if one is requested."""
+    """A solution with the problem that it solves, its examination, and its accuracy if one is requested."""
 
     solution: Solution
+    problem: Problem
     examination: Examination
     accuracy: Accuracy | None
 
@@ -86,6 +88,7 @@ class Refinement:
     ``missed`` (n_phases,) counts the successive rounds up to the last in which each phase failed.
     ``calm`` says that the degree was lowered against chatter; see `CALM_SCHEME`.
     ``solver_time`` says that the time limit counts only the solver, not everything but compilation.
+    ``solved`` is the problem of ``last``, with its constraints on bodies.
     """
 
     problem: Problem
@@ -99,6 +102,7 @@ class Refinement:
     compiled: float = 0.0
     rounds: list[Round] = field(default_factory=list)
     last: Solution | None = None
+    solved: Problem | None = None
     examined: float = 0.0
     best: tuple[float, _Examined] | None = None
     settled: bool = True
@@ -230,8 +234,9 @@ class Refinement:
             limit["max_iterations"] = min(most, self.settings.get("max_iterations", most))
         if options is not None:
             limit["options"] = {**options, **(self.settings.get("options") or {})}
+        self.solved = problem or self.problem
         self.last = solve_on_mesh(
-            problem or self.problem,
+            self.solved,
             mesh=mesh,
             start=start,
             solver_time=self.solver_time,
@@ -282,7 +287,8 @@ class Refinement:
         """Check and measure the solution of the last round; keep it if it is the best so far."""
         begun = time.perf_counter()
         accuracy = None if self.target is None else measure(solution)
-        examined = _Examined(solution, examine(solution, self.tolerances), accuracy)
+        examination = examine(solution, self.tolerances)
+        examined = _Examined(solution, self.solved or self.problem, examination, accuracy)
         self.examined += time.perf_counter() - begun
         if accuracy is not None:
             self.rounds[-1] = replace(self.rounds[-1], errors=phase_errors(accuracy))
@@ -353,8 +359,8 @@ class Refinement:
         ]
         return max(ratios, default=0.0)
 
-    def result(self, why: str) -> Graded:
-        """Return the best motion with its verdict, which its statistics record as well."""
+    def result(self, why: str, gains: bool = False) -> Graded:
+        """Return the best motion with its verdict, which its statistics record as well, and with its gains."""
         best = None if self.best is None else self.best[1]
         solution, examination = (self.last, None) if best is None else (best.solution, best.examination)
         assert solution is not None
@@ -365,6 +371,8 @@ class Refinement:
                 kept = solution.statistics.advice.splitlines()[:-1]
                 finer = f"a finer mesh was not solved, {what}: {remedy}"
                 solution = solution.with_statistics(advice="\n".join([*kept, finer]))
+        if gains and best is not None:
+            solution = with_gains(best.problem, solution)
         made = Graded(
             solution=solution,
             examination=examination,

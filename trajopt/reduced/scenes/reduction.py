@@ -274,6 +274,7 @@ def lift_solution(solution: Solution, problem: Problem, reduction: Reduction) ->
         row_multiplier=None,  # the small problem's multipliers do not apply
         row_place=None,
         bound_multiplier=None,
+        gain=None,
     )
 
 
