@@ -1,4 +1,4 @@
-"""Feedback gains of plans: closed forms, plans solved again from other states, limits, cycles and bad input."""
+"""Feedback gains: closed forms, plans solved again from other states, limits, cycles and bad input."""
 
 from dataclasses import replace
 
@@ -10,7 +10,8 @@ from numpy.testing import assert_allclose
 import trajopt
 from trajopt import InputError, Phase, Problem, Robot, Schedule, Solution, terms
 from trajopt.motion.cycles import gains_in_passes
-from trajopt.solving import feedback, with_gains
+from trajopt.motion.grid import mesh_of
+from trajopt.solving import with_gains
 
 # kg and s of the closed forms.
 MASS, DURATION = 2.0, 1.5
@@ -49,36 +50,31 @@ def solved_again(problem: Problem, plan: Solution, change: np.ndarray) -> np.nda
     for sign in (1, -1):
         q = pin.integrate(plan.model, problem.initial_q, sign * CHANGE * change[:nv])
         moved = replace(problem, initial_q=q, initial_v=problem.initial_v + sign * CHANGE * change[nv:])
-        made = trajopt.solve(moved, mesh=trajopt_mesh(plan), start=plan, tolerance=1e-10, judge=False)
+        made = trajopt.solve(moved, mesh=mesh_of(plan), start=plan, tolerance=1e-10)
         assert made.converged
         ends.append(made.tau[0])
     return (ends[0] - ends[1]) / (2 * CHANGE)
 
 
-def trajopt_mesh(plan: Solution):
-    from trajopt.motion.grid import mesh_of
-
-    return mesh_of(plan)
-
-
-def test_gains_of_a_double_integrator_are_those_of_its_closed_form(monkeypatch):
-    monkeypatch.setattr(feedback, "STIFFNESS", 1e12)
-    plan = trajopt.solve(slide(slider()), fixed_mesh=True, gains=True, tolerance=1e-10)
+def test_gains_of_a_double_integrator_are_those_of_its_closed_form():
+    problem = slide(slider())
+    plan = with_gains(problem, trajopt.solve(problem, fixed_mesh=True, tolerance=1e-10), stiffness=1e12)
     left = DURATION - plan.interval_t[:, 0]
     assert_allclose(plan.gain[:, 0, 0], -6 * MASS / left**2, rtol=HARD)
     assert_allclose(plan.gain[:, 0, 1], -4 * MASS / left, rtol=HARD)
 
 
-def test_gains_of_a_triple_integrator_are_those_of_its_closed_form(monkeypatch):
+def test_gains_of_a_triple_integrator_are_those_of_its_closed_form():
     """The least jerk to rest from a state whose acceleration is free: a polynomial of degree five."""
-    monkeypatch.setattr(feedback, "STIFFNESS", 1e12)
     goal = np.array([1.0])
     smooth = (terms.JerkCost(weight=1.0), terms.TerminalState(q=goal), terms.TerminalRest(q=goal))
     problem = slide(slider(), terms=smooth, actuation="jerk", default_transcription="legendre:3")
-    plan = trajopt.solve(problem, fixed_mesh=True, gains=True, tolerance=1e-10)
+    plan = with_gains(problem, trajopt.solve(problem, fixed_mesh=True, tolerance=1e-10), stiffness=1e12)
     for gain, (start, _) in zip(plan.gain[:, 0], plan.interval_t, strict=True):
         left = DURATION - start
-        powers = np.array([[left ** (n - d) * np.prod(np.arange(n, n - d, -1.0)) for n in range(6)] for d in range(3)])
+        powers = np.array(
+            [[left ** (n - d) * np.prod(np.arange(n, n - d, -1.0)) for n in range(6)] for d in range(3)]
+        )
         rows = np.vstack([np.eye(6)[[0, 1, 3]], np.where(np.isfinite(powers), powers, 0.0)])
         known = np.linalg.solve(rows, np.eye(6)[:, :2])
         assert_allclose(gain, MASS * 2 * known[2], rtol=1e-5)
@@ -101,10 +97,10 @@ def test_springs_change_gains_little_until_shortly_before_the_end():
         ("arm-transfer", {"robot": "ur5"}, 12),
     ],
 )
-def test_gains_are_the_derivative_of_the_first_torques(name, settings, intervals, monkeypatch):
-    monkeypatch.setattr(feedback, "STIFFNESS", 1e9)
+def test_gains_are_the_derivative_of_the_first_torques(name, settings, intervals):
     problem = trajopt.load(name, **settings)
-    plan = trajopt.solve(problem, intervals=intervals, gains=True, tolerance=1e-10)
+    plan = trajopt.solve(problem, intervals=intervals, tolerance=1e-10)
+    plan = with_gains(problem, plan, stiffness=1e9)
     change = np.random.default_rng(1).standard_normal(2 * plan.model.nv)
     expected = solved_again(problem, plan, change)
     assert_allclose(plan.gain[0] @ change, expected, atol=DERIVATIVE * np.abs(expected).max())
@@ -112,10 +108,10 @@ def test_gains_are_the_derivative_of_the_first_torques(name, settings, intervals
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "robot"), [("quadruped-jump-up", "solo12"), ("biped-squat", "g1")])
-def test_gains_of_legs_are_the_derivative_of_the_first_torques(name, robot, monkeypatch):
-    monkeypatch.setattr(feedback, "STIFFNESS", 1e9)
+def test_gains_of_legs_are_the_derivative_of_the_first_torques(name, robot):
     problem = trajopt.load(name, robot=robot)
-    plan = trajopt.solve(problem, intervals=16, transcription="legendre:2", gains=True, tolerance=1e-10)
+    plan = trajopt.solve(problem, intervals=16, transcription="legendre:2", tolerance=1e-10)
+    plan = with_gains(problem, plan, stiffness=1e9)
     change = np.random.default_rng(1).standard_normal(2 * plan.model.nv)
     expected = solved_again(problem, plan, change)
     assert_allclose(plan.gain[0] @ change, expected, atol=DERIVATIVE * np.abs(expected).max())
@@ -125,10 +121,15 @@ def test_a_torque_at_its_limit_has_no_gain():
     robot = slider()
     goal = np.array([1.0])
     # Speed is free at the end, so that the force may be at its limit at first.
-    costs = (terms.TorqueCost(weight=1.0), terms.TorqueLimits(limit=np.array([2.2])), terms.TerminalState(q=goal))
+    costs = (
+        terms.TorqueCost(weight=1.0),
+        terms.TorqueLimits(limit=np.array([2.2])),
+        terms.TerminalState(q=goal),
+    )
     plan = trajopt.solve(slide(robot, terms=costs, default_intervals=12), fixed_mesh=True, gains=True)
     full = np.abs(plan.tau[plan.collocation, 0]).reshape(12, -1).min(axis=1) > 2.2 * (1 - 1e-6)
-    assert full.any() and not full.all()
+    assert full.any()
+    assert not full.all()
     largest = np.abs(plan.gain).max()
     assert np.abs(plan.gain[full]).max() < 1e-3 * largest
 
@@ -148,12 +149,13 @@ def test_gains_at_samples_and_times_agree_and_are_saved(tmp_path):
 
 
 @pytest.mark.slow
-def test_gains_of_half_a_cycle_are_mirrored_in_the_other(tmp_path):
-    problem = trajopt.load("quadruped-trot", robot="solo12")
+def test_gains_of_half_a_cycle_are_mirrored_in_the_other():
+    problem = trajopt.load("biped-gait", robot="bolt")
     plan = trajopt.solve(problem, gains=True)
     assert plan.success
     image = plan.description.periodicity
-    assert image is not None and image.mirror
+    assert image is not None
+    assert image.mirror
     once = gains_in_passes(plan, plan.interval_t[:3, 0], np.zeros(3, dtype=int))
     twice = gains_in_passes(plan, plan.interval_t[:3, 0], np.full(3, 2))
     assert_allclose(twice, once, atol=1e-9 * np.abs(once).max())

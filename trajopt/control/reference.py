@@ -145,6 +145,7 @@ def _once(plan: Solution, t: np.ndarray, period: float) -> SampledMotion:
 
     The acceleration is the mean if a phase ends and forces jump: a contact that lifts within a period may
     carry three times the weight. Without the mean, up to half a period of its force would be gained or lost.
+    What is carried changes at ticks alone: torques are then those of the phase in which a period begins.
     """
     ends = np.array([plan.t[rows.start] for rows in plan.phases[1:]])
     cuts = {
@@ -153,11 +154,13 @@ def _once(plan: Solution, t: np.ndarray, period: float) -> SampledMotion:
     }
     inner = np.concatenate([t[:1], *(cut[:-1] + np.diff(cut) / 2 for cut in cuts.values())])
     motion, middle, parts = (plan.sample(times=times) for times in (t, t + period / 2, inner))
-    a, row = middle.a.copy(), 1
+    a, tau, drive_torque, row = middle.a.copy(), middle.tau.copy(), middle.drive_torque.copy(), 1
     for k, cut in cuts.items():
         a[k] = np.diff(cut) @ parts.a[row : row + len(cut) - 1] / period
+        if plan.description.payloads:
+            tau[k], drive_torque[k] = parts.tau[row], parts.drive_torque[row]
         row += len(cut) - 1
-    return replace(motion, a=a, tau=middle.tau, drive_torque=middle.drive_torque)
+    return replace(motion, a=a, tau=tau, drive_torque=drive_torque)
 
 
 def _at_rest(plan: Solution, reference: ReferenceTrajectory) -> tuple[np.ndarray, np.ndarray]:

@@ -24,6 +24,7 @@ import pinocchio as pin
 from typing_extensions import override
 
 from trajopt.control.reference import ReferenceTrajectory
+from trajopt.dynamics.model_quantities import contact_jacobian
 from trajopt.motion.cycles import gains_in_passes, moving_rows
 from trajopt.motion.sampled_motion import SampledMotion
 from trajopt.robot.mujoco_package import mujoco_package
@@ -35,6 +36,8 @@ from trajopt.simulation.settings import FEEDBACK_TIME, SimulationSettings
 EVERY = 5
 # A discrete damper is stable while its rate times the period is below 2; half of that leaves room for delay.
 FASTEST = 1.0
+# Contact rows depend on others below this part of the largest eigenvalue of their inverse inertia.
+DEPENDENT = 1e-9
 # Stiffness of stance legs over that at which the body just falls.
 STIFFER = 4.0
 
@@ -77,8 +80,10 @@ class JointFeedback:
 class PlanFeedback(JointFeedback):
     """Feedback of the whole state with the gains of the plan; single joints hold its end.
 
-    The torques of a period are tau = tau_plan + K (x - x_plan), see `Solution.gains`. Cycles repeat them,
-    mirrored as the motion is.
+    The torques of a period are tau = tau_plan + K (x - x_plan), see `Solution.gains`, with x at the end of the
+    period, to which the feedback moves the robot on the contacts that hold. Otherwise a damper of a stance
+    would be unstable in discrete time on a leg that has lifted (Tan, Liu and Turk, "Stable
+    proportional-derivative controllers", IEEE CG&A 31, 2011). Cycles repeat gains, mirrored as the motion is.
 
     Raises `InputError` for a plan without gains.
     """
@@ -96,10 +101,27 @@ class PlanFeedback(JointFeedback):
         reference, k = self._reference, round(t / self._reference.period)
         if k >= reference.planned:
             return super().torque(t, q, v, touching)
-        now = slice(k, k + 1)
+        now, nv, period = slice(k, k + 1), self._plan.model.nv, reference.period
         gain = gains_in_passes(self._plan, self._times[now], self._number[now] % 2)[0]
-        change = pin.difference(self._plan.model, reference.q[k], q), v - reference.v[k]
-        return np.asarray(reference.drive_torque[k] + gain @ np.concatenate(change))
+        rate, model = v - reference.v[k], self._scene.site.models[int(reference.source[k])]
+        change = np.concatenate([pin.difference(model, reference.q[k], q) + period * rate, rate])
+        inverse = self._inverse_inertia(model, q, np.asarray(touching, dtype=bool) & reference.active[k])
+        response = period * inverse @ self._plan.actuation.force(np.eye(len(gain))).T
+        damping = gain[:, nv:] + period * gain[:, :nv]
+        feedback = np.linalg.solve(np.eye(len(gain)) - damping @ response, gain @ change)
+        return np.asarray(reference.drive_torque[k] + feedback)
+
+    def _inverse_inertia(self, model: pin.Model, q: np.ndarray, standing: np.ndarray) -> np.ndarray:
+        """Accelerations per force (nv, nv) with the contacts ``standing`` (nc,) held."""
+        inverse = pin.computeMinverse(model, model.createData(), q)
+        inverse = np.triu(inverse) + np.triu(inverse, 1).T
+        every = self._plan.description.contacts
+        frames = [(every[i].frame, 6 if every[i].is_sole else 3) for i in np.flatnonzero(standing)]
+        if not frames:
+            return np.asarray(inverse)
+        jacobian = contact_jacobian(model, q, frames)
+        held = jacobian @ inverse
+        return inverse - held.T @ np.linalg.pinv(held @ jacobian.T, rcond=DEPENDENT, hermitian=True) @ held
 
 
 def gains_of(scene: Scene, motion: SampledMotion, period: float, settings: SimulationSettings) -> Gains:

@@ -25,6 +25,7 @@ from trajopt.problem.problem import Problem
 from trajopt.robot.actuators.joint_force import joint_force
 from trajopt.robot.contact import Contact, set_rolling_moments
 from trajopt.robot.robot import Robot
+from trajopt.robot.stance.minimal_coordinates import StanceMode
 from trajopt.schedule.schedule import Schedule
 from trajopt.terrain.flat import FlatGround
 from trajopt.terrain.patch import Patch
@@ -67,9 +68,7 @@ def extract(transcription: Transcription, x: np.ndarray, **statistics: Any) -> S
     columns: dict[str, list[np.ndarray]] = {name: [] for name in ("t", "q", "v", "a", "tau", "f")}
     for k in layout.interval_stages:
         phase = int(layout.phase_of[k])
-        interval = interval_samples(
-            problem, layout, unknowns, int(k), float(steps[k]), float(time_scales[phase])
-        )
+        interval = _interval(problem, layout, unknowns, int(k), float(steps[k]), float(time_scales[phase]))
         scheme = layout.scheme_of(phase)
         inner = times[k] + scheme.c * steps[k]
         columns["t"].append(np.concatenate([[times[k]], inner, [times[k + 1]]]))
@@ -141,7 +140,7 @@ def _widths(layout: Layout, stages: np.ndarray) -> np.ndarray:
     return np.array([layout.scheme_of(int(layout.phase_of[k])).s + 2 for k in stages], dtype=int)
 
 
-def interval_samples(
+def _interval(
     problem: Problem, layout: Layout, unknowns: np.ndarray, k: int, h: float, time_scale: float
 ) -> dict[str, np.ndarray]:
     """Return the motion of the whole robot by the collocation map, and torques by numeric Pinocchio.
@@ -181,14 +180,52 @@ def interval_samples(
         still = np.zeros_like(full[1])
         reaction = mode.ground_reaction(*((full[0], still, still) if layout.order == 1 else full))
         full = mode.lifted(*full)
-        names = [contact.name for contact in layout.robot.contacts]
-        f[:, names.index(mode.embedded.name), :3] = reaction[1:-1] - f[:, :, :3].sum(axis=1)
+        _embed(layout, mode, f, reaction[1:-1])
     robot, f = problem.robot_in(layout.schedule.phases[phase].name), _with_ends(outer, f)
     if layout.order == 3:
         tau = _torques(robot, full, f)
     else:
         tau = _with_ends(outer, _torques(robot, [part[1:-1] for part in full], f[1:-1]))
     return {"q": full[0], "v": full[1], "a": full[2], "f": f, "tau": tau}
+
+
+def torques_at_start(problem: Problem, layout: Layout, k: int, windows: np.ndarray) -> np.ndarray:
+    """Return torques (n, nu) at the start of interval k, from its node and inputs (n, window), unscaled.
+
+    They are of the polynomial through those at the points, or where accelerations are states and nothing
+    touches, those of the node.
+    """
+    phase, form = int(layout.phase_of[k]), layout.forms[k]
+    method, name, nodes = layout.scheme_of(phase), layout.schedule.phases[phase].name, windows[:, : form.size]
+    state, nv, count = form.state(nodes), form.coordinates.nv, len(windows)
+    scale = np.array([form.scale_of(node) for node in nodes[:, form.time_scales]])[:, None, None]
+    robot, mode = problem.robot_in(name), layout.modes.get(name)
+    if form.order == 3 and not layout.n_wrench(phase):
+        second = nodes[:, form.accelerations] / scale[:, 0] ** 2
+        motion = _nodes_in_pinocchio(form, state, second)
+        return _torques(robot, list(motion), np.zeros((count, len(robot.contacts), 6)))
+    y = np.stack([windows[:, layout.local_derivative(phase, i)] for i in range(method.s)], axis=1)
+    start = np.zeros((count, nv))
+    start[:, form.coordinates.additive_index] = state[:, form.additive]
+    points = _at_points(
+        form, method, (start, state[:, -nv:], nodes[:, form.accelerations]), y, layout.steps[k] * scale, scale
+    )
+    rotations = np.repeat(state[:, form.rotations], method.s, axis=0)
+    motion = form.coordinates.local_to_pinocchio(rotations, *(part.reshape(-1, nv) for part in points))
+    wrenches = np.stack([windows[:, layout.local_wrench(phase, i)] for i in range(method.s)], axis=1)
+    rows, levers = wrenches.reshape(count * method.s, -1), problem.levers[phase]
+    f = np.array([_wrenches(layout, layout.contacts[phase], row, levers) for row in rows])
+    if mode is not None:
+        _embed(layout, mode, f, mode.ground_reaction(*motion))
+    every = list(motion) if mode is None else mode.lifted(*motion)
+    tau = _torques(robot, every, f).reshape(count, method.s, -1)
+    return np.einsum("i,nij->nj", method.interpolation(np.zeros(1))[0], tau)
+
+
+def _embed(layout: Layout, mode: StanceMode, f: np.ndarray, reaction: np.ndarray) -> None:
+    """Add to wrenches (n, nc, 6) the force of a mode's own contact, from the ground's total (n, 3)."""
+    names = [contact.name for contact in layout.robot.contacts]
+    f[:, names.index(mode.embedded.name), :3] = reaction - f[:, :, :3].sum(axis=1)
 
 
 def _with_ends(outer: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -202,17 +239,18 @@ def _at_points(
     method: Scheme,
     start: tuple[np.ndarray, np.ndarray, np.ndarray],
     y: np.ndarray,
-    h: float,
-    time_scale: float,
+    h: float | np.ndarray,
+    time_scale: float | np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return xi, xi', xi'' (s, nv) at the points, from those at the start and the highest derivative y.
 
-    The start's xi'' and ``y`` are in nominal time, the others in true time.
+    The start's xi'' and ``y`` are in nominal time, the others in true time. Several windows have a leading
+    axis, and ``h`` and ``time_scale`` two more.
     """
-    position, rates, second = start
+    position, rates, second = (part[..., None, :] for part in start)
     c, highest = method.c[:, None], y / time_scale**form.order
     if form.order == 2:
-        xi = position + h * np.outer(method.c, rates) + h * h * method.A2 @ highest
+        xi = position + h * (c * rates) + h * h * method.A2 @ highest
         return xi, rates + h * method.A1 @ highest, highest
     second = second / time_scale**2
     xi = position + h * c * rates + (h * c) ** 2 / 2 * second + h**3 * method.points_of(3)[2] @ highest

@@ -5,31 +5,31 @@ from the plan's. To first order its solution minimises the quadratic form of the
 linearised rows (Fiacco, "Introduction to sensitivity and stability analysis in nonlinear programming", 1983,
 ch. 3). An inequality with the multiplier lambda at the distance s from its limit adds lambda / s times the
 square of its row, as in the last matrix of an interior-point method: those that are active hold. With the
-cost-to-go dx^T P dx / 2 at the next node, dense elimination of a stage gives
+cost-to-go dx^T P dx / 2 of the next node, the controls and the next node z of a stage follow from
 
     [W  A^T] [dz]     [B]
-    [A   0 ] [dy] = - [C] dx,    P <- S - [B^T C^T] [dz; dy] / dx,    K = d tau / dx + d tau / dz dz / dx,
+    [A   0 ] [dy] = - [C] dx,    P <- S + B^T dz/dx + C^T dy/dx,    K = dtau/dx + dtau/dz dz/dx
 
-with its controls and the next node in z. Accelerations that are states may jump where the feedback begins;
-free durations of what is left adapt, unless the total is bounded or the motion periodic. The end of a cycle has the
-cost-to-go of the next one.
+with the Hessian's blocks W, B and S, and the rows A dz + C dx = 0. Accelerations that are states may jump
+where the feedback begins. Free durations of what is left adapt, unless their sum is bounded. At the end of a
+cycle the cost-to-go is that of the next one, with all durations held.
 
-Hard rows at later nodes would ask for infinite gains shortly before, or where few inputs can reach them. They
-are springs instead, `STIFFNESS` times as stiff as the costs of the inputs.
+Hard rows at later nodes would ask for infinite gains shortly before, or where few inputs reach them. They are
+springs instead, `STIFFNESS` times as stiff as the costs of the inputs.
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
 
+from trajopt.arguments import Positive, checked
 from trajopt.errors import InputError
 from trajopt.motion.grid import mesh_of
 from trajopt.motion.solution import Solution
 from trajopt.problem.problem import Problem
 from trajopt.robot.units import Units
-from trajopt.solving.extraction import interval_samples
+from trajopt.solving.extraction import torques_at_start
 from trajopt.solving.solving import prepare
 from trajopt.transcription.nlp import Nlp
 from trajopt.transcription.timeline import StageKind
@@ -49,12 +49,15 @@ LEAST_CURVATURE = 1e-9
 CYCLES = 4
 
 
-def with_gains(problem: Problem, solution: Solution) -> Solution:
+@checked
+def with_gains(problem: Problem, solution: Solution, *, stiffness: Positive = STIFFNESS) -> Solution:
     """Return a plan with its feedback gains, see `Solution.gains`.
 
     Args:
         problem: the problem that the plan solves.
         solution: the plan, with its multipliers.
+        stiffness: of rows and bounds at nodes, see `STIFFNESS`; less makes gains smaller before landings, and
+            more robust where few inputs reach a row.
 
     Raises:
         InputError: for a plan without multipliers or of another problem, and for inputs that are no torques.
@@ -69,12 +72,13 @@ def with_gains(problem: Problem, solution: Solution) -> Solution:
             f"gains of a plan with {known} multipliers for a problem with {rows} rows",
             "allowed: the problem of the plan; where bodies keep apart, solve with gains=True",
         )
-    tail = _Tail(prepared.nlp, prepared.guess, solution, solution.row_multiplier, solution.bound_multiplier)
+    multipliers = solution.row_multiplier, solution.bound_multiplier
+    tail = _Tail(prepared.nlp, prepared.guess, solution, multipliers, stiffness)
     return replace(solution, gain=tail.gains())
 
 
 def require_gains(problem: Problem) -> None:
-    """Raise `InputError` for a problem whose plans have no gains: their inputs are not the robot's torques."""
+    """Raise `InputError` for a problem whose inputs are not the robot's torques: its plans have no gains."""
     if problem.actuation == "velocity":
         raise InputError(
             "gains of a plan whose inputs are velocities", "allowed: torque or jerk as actuation"
@@ -92,25 +96,32 @@ class _Form:
 
 
 class _Tail:
-    """The linearised rest of a plan from each of its nodes, at scaled variables ``x`` with multipliers."""
+    """The linearised rest of a plan from each of its nodes, at scaled variables ``x``."""
 
-    def __init__(self, nlp: Nlp, x: np.ndarray, plan: Solution, rows: np.ndarray, bounds: np.ndarray) -> None:
+    def __init__(
+        self,
+        nlp: Nlp,
+        x: np.ndarray,
+        plan: Solution,
+        multipliers: tuple[np.ndarray, np.ndarray],
+        stiffness: float,
+    ) -> None:
         from scipy import sparse  # slow to import
 
         t = self.transcription = nlp.transcription
         self.layout, self.x, self.plan = t.layout, x, plan
-        self.jacobian = nlp.jacobian(x)
+        self.jacobian, (rows, bounds) = nlp.jacobian(x), multipliers
         entries = np.array(nlp.engine.hessian(x, 1.0, rows)), (nlp.hessian_row, nlp.hessian_column)
         lower = sparse.csr_matrix(entries, shape=(len(x), len(x)))
         self.hessian = (lower + sparse.tril(lower, -1).T).tocsr()
         self.equal = t.lower_g == t.upper_g
         self.row_weight = _weights(np.array(nlp.engine.g(x)), t.lower_g, t.upper_g, rows)
+        self.stiffness = stiffness * self._curvature_of_inputs()
         self.bound_weight = np.minimum(_weights(x, t.lower_x, t.upper_x, bounds), self.stiffness)
         self.adapts = t.problem.periodicity is None and t.problem.duration_bounds is None
 
-    @cached_property
-    def stiffness(self) -> float:
-        """Stiffness of the rows at nodes, scaled units."""
+    def _curvature_of_inputs(self) -> float:
+        """Median curvature of the Lagrangian in an input, per natural time, scaled units."""
         layout, curvature = self.layout, self.hessian.diagonal()
         time = Units(self.transcription.problem.robot).time
         inputs = [
@@ -119,7 +130,7 @@ class _Tail:
         ]
         positive = np.concatenate(inputs)
         positive = positive[positive > 0]
-        return STIFFNESS * (float(np.median(positive)) if len(positive) else 1.0)
+        return float(np.median(positive)) if len(positive) else 1.0
 
     def gains(self) -> np.ndarray:
         """Gains (I, nu, 2 nv) at the start of every interval."""
@@ -133,9 +144,11 @@ class _Tail:
                 to_go = self._image(start)
         gains = []
         for k in reversed(range(last)):
+            stage = self._eliminated(k, to_go)
             if layout.stages[k].kind is StageKind.INTERVAL:
-                gains.append(self._gain(k, to_go))
-            to_go = self._with_node(k, self._eliminated(k, to_go)[0])
+                joined = stage[0].columns[0] < layout.node(k).start
+                gains.append(self._gain(k, *(self._eliminated(k, to_go, joined=False) if joined else stage)))
+            to_go = self._with_node(k, stage[0])
         return np.array(gains[::-1])
 
     # Elimination
@@ -220,31 +233,21 @@ class _Tail:
 
     # Torques
 
-    def _gain(self, k: int, to_go: _Form) -> np.ndarray:
-        """Gain (nu, 2 nv) at the start of interval k."""
-        form, gone, response = self._eliminated(k, to_go, joined=False)
+    def _gain(self, k: int, form: _Form, gone: np.ndarray, response: np.ndarray) -> np.ndarray:
+        """Gain (nu, 2 nv) at the start of interval k, from its elimination."""
         sample = int(np.argmax(self.plan.interval == np.searchsorted(self.layout.interval_stages, k)))
         node = self._change(k, form, sample)
+        window, t = self.layout.window(k), self.transcription
         change = np.zeros((len(self.x), node.shape[1]))
         change[form.columns], change[gone] = node, response @ node
-        step = STEP / np.abs(change).max(axis=0)
-        return np.array([
-            (self._torque(k, self.x + h * one) - self._torque(k, self.x - h * one)) / (2 * h)
-            for h, one in zip(step, change.T, strict=True)
-        ]).T  # fmt: skip
-
-    def _torque(self, k: int, x: np.ndarray) -> np.ndarray:
-        """Torques (nu,) at the start of interval k: of the polynomial through those at its points.
-
-        Where accelerations are states and nothing touches, they are known at the node itself.
-        """
-        t, layout = self.transcription, self.layout
-        unknowns, form, phase = x * t.scale, layout.forms[k], int(layout.phase_of[k])
-        scale = form.scale_of(unknowns[layout.node(k)][form.time_scales])
-        samples = interval_samples(t.problem, layout, unknowns, k, float(layout.steps[k]) * scale, scale)
-        if form.order == 3 and not layout.n_wrench(phase):
-            return samples["tau"][0]
-        return np.asarray(layout.scheme_of(phase).interpolation(np.zeros(1))[0] @ samples["tau"][1:-1])
+        change, size = change[window].T, np.abs(change[window]).max(axis=0)
+        step = STEP / np.maximum(size, STEP)
+        ends = self.x[window] + np.array([1.0, -1.0])[:, None, None] * step[:, None] * change
+        torques = torques_at_start(
+            t.problem, self.layout, k, (ends * t.scale[window]).reshape(-1, len(self.x[window]))
+        )
+        plus, minus = torques.reshape(2, len(step), -1)
+        return np.asarray(((plus - minus) / (2 * step[:, None])).T)
 
     def _change(self, k: int, to_go: _Form | None, sample: int) -> np.ndarray:
         """Derivative (n, 2 nv) of node k's used variables in the state, in Pinocchio's tangent.

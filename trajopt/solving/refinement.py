@@ -360,7 +360,7 @@ class Refinement:
         return max(ratios, default=0.0)
 
     def result(self, why: str, gains: bool = False) -> Graded:
-        """Return the best motion with its verdict, which its statistics record as well, and with its gains."""
+        """Return the best motion with its verdict, also in its statistics, and with its gains."""
         best = None if self.best is None else self.best[1]
         solution, examination = (self.last, None) if best is None else (best.solution, best.examination)
         assert solution is not None
