@@ -22,6 +22,7 @@ from trajopt.export.exported_motion import sample_cycles
 from trajopt.motion.consistency import inconsistency
 from trajopt.motion.meta import DESCRIBED, description_of, jsonable, require_keys, statistics_of
 from trajopt.motion.solution import Solution
+from trajopt.robot import LinkWrench
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.actuators.joint_force import JointForce
 from trajopt.robot.actuators.mimic import MimicJoint
@@ -85,6 +86,7 @@ def quadruped() -> Solution:
         payloads=[
             {"frame": feet[0], "mass": 0.5, "centre": [0.0] * 3, "inertia": np.eye(3) / 100, "phases": [0]}
         ],
+        wrenches=[vars(LinkWrench(frame=feet[0], force=[[0.0] * 3, [1.0] * 3], times=(0.0, 0.1)))],
         periodicity={
             "index": [*range(18)],
             "sign": [1] * 18,

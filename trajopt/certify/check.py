@@ -325,7 +325,7 @@ def _is_stable(error: OpenLoopError, local: tuple[float, float]) -> bool:
 
 
 def flight_errors(motion: MotionQuantities, phase: range) -> dict[str, float | None]:
-    """Return the ``FLIGHT`` of free motion in ``phase``; None with contacts, thrusters or a fixed base.
+    """Return the ``FLIGHT`` of free motion in ``phase``; None with contacts, other forces or a fixed base.
 
     Ballistic: max |c - c_0 - c'_0 t - g t^2 / 2| over the phase's max |c - c_0|.
     Momentum: max |h - h_0| over max(|h|, ``QUIET_MOMENTUM`` m l sqrt(g l)), with h the angular momentum about
@@ -334,7 +334,8 @@ def flight_errors(motion: MotionQuantities, phase: range) -> dict[str, float | N
     """
     solution, base = motion.solution, motion.base
     samples = slice(phase.start, phase.stop)
-    if base == "fixed" or solution.description.thrusters or solution.active[samples].any():
+    pushed = solution.description.thrusters or solution.description.wrenches
+    if base == "fixed" or pushed or solution.active[samples].any():
         return dict.fromkeys(FLIGHT)
     t = solution.t[samples] - solution.t[phase.start]
     com, velocity, momentum, mass = _centroidal(solution, phase)

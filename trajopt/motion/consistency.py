@@ -152,6 +152,8 @@ def _wrong_shape(
             thruster.column(model)
         for force in plan.joint_forces:
             force.entries(model)
+        for wrench in plan.wrenches:
+            wrench.place(model)
         require_mimics(plan.robot, model, plan.mimics)
     except InputError as error:
         return str(error)

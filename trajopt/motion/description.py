@@ -17,6 +17,7 @@ from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.actuators.joint_force import JointForce
 from trajopt.robot.actuators.mimic import MimicJoint
 from trajopt.robot.data import VisualSource
+from trajopt.robot.link_wrench import LinkWrench
 from trajopt.robot.payload import require_rigid
 from trajopt.schedule.moment import Target
 from trajopt.terrain.flat import FlatGround
@@ -153,6 +154,7 @@ class PlanDescription:
             all touch the terrain.
         goals: Targets of the problem.
         payloads: Carried bodies.
+        wrenches: Known wrenches on links over time; part of the dynamics.
         periodicity: None if the plan is not periodic.
         drives: (nu,) drives of the actuated rows, None for rows without one; empty without drives.
         bodies: Shapes of the robot's links; None if unknown.
@@ -181,6 +183,7 @@ class PlanDescription:
     patches: tuple[Mapping[str, Patch], ...] = ()
     goals: tuple[Target, ...] = ()
     payloads: tuple[CarriedBody, ...] = ()
+    wrenches: tuple[LinkWrench, ...] = ()
     periodicity: PeriodicImage | None = None
     drives: tuple[Drive | None, ...] = ()
     bodies: RobotShapes | None = None

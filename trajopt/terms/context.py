@@ -16,6 +16,7 @@ from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError
 from trajopt.robot.actuators.on_robot import drive_torque
 from trajopt.robot.contact import Contact
+from trajopt.robot.link_wrench import LinkWrench
 from trajopt.robot.robot import Robot
 from trajopt.robot.stance.minimal_coordinates import StanceMode
 from trajopt.robot.validation import require_configuration
@@ -48,6 +49,7 @@ class Context(Parameters):
         kept_rows: independent rows of each contact's motion, by the contact's name; default all.
         near: state of a node (n_node,) from which goals take their whole turns; None for no whole turns.
         guess: the guess's configuration (nq,) at a node, evaluated on demand.
+        given: known wrenches on links; they are parameters, and no impulses.
     """
 
     def __init__(
@@ -65,12 +67,16 @@ class Context(Parameters):
         kept_rows: Mapping[str, tuple[int, ...]] = MappingProxyType({}),
         near: np.ndarray | None = None,
         guess: Callable[[], np.ndarray] | None = None,
+        given: tuple[LinkWrench, ...] = (),
     ) -> None:
         super().__init__()
         self.robot, self.coordinates, self.contacts, self.near = robot, coordinates, contacts, near
         self.guess = guess
         self.place = place or (Place.NODE if node else Place.POINT)
         self.actuation, self._surfaces, self._kept_rows = actuation, surfaces, kept_rows
+        self.given = () if self.place is Place.IMPACT else given
+        # The first parameters: the robot's functions depend on them.
+        self.given_wrenches = ca.vertcat(ca.SX(0, 1), *[self.varying(wrench.at, 6) for wrench in self.given])
         scale = ca.SX.sym("time_scale", 0 if time_scales[1] is None else 1)
         self.time_scale = scale if scale.numel() else ca.SX(1)
         nv, order = coordinates.nv, ORDERS[actuation]
@@ -245,7 +251,7 @@ class Context(Parameters):
 
     @property
     def generalized_forces(self) -> ca.SX:
-        """RNEA(q, v, a) minus the contacts' J^T w, (nv,): base rows first, then joints.
+        """RNEA(q, v, a) minus J^T w of contacts and known wrenches, (nv,): base rows first, then joints.
 
         For a velocity source this is static, RNEA(q, 0, 0) - J^T w; at an impact, M (v+ - v-) - J^T impulses.
         """
@@ -390,8 +396,8 @@ class Context(Parameters):
         return self._frames
 
     def wrench_column(self) -> ca.SX:
-        """Wrenches that are variables in one column, 3 or 6 entries per contact."""
-        return ca.vertcat(*[self.wrenches[contact.name] for contact in self.contacts])
+        """Wrenches that are variables, 3 or 6 entries per contact, then known ones, in one column."""
+        return ca.vertcat(*[self.wrenches[contact.name] for contact in self.contacts], self.given_wrenches)
 
     def dynamics_symbols(self) -> ca.SX:
         """Generalised forces and contact accelerations that terms have used, in one column."""

@@ -294,6 +294,7 @@ class TermFunctions:
             mode=self.problem.modes.get(name),
             near=near,
             guess=guess,
+            given=self.problem.wrenches,
         )
 
 
