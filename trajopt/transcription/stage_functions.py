@@ -63,7 +63,7 @@ class PointFunction:
     def robot_inputs(self, z: Any, p: Any) -> Any:
         """Inputs of the first layer: z, and the parameters that are known wrenches, which come first."""
         n_given = self.layers[0].numel_in(0) - self.n_z if self.layers else 0
-        return ca.vertcat(z, p[:n_given])
+        return ca.vertcat(z, p[:n_given, :])  # p[:0] of one entry would be (1, 0)
 
     @cached_property
     def text(self) -> str:
