@@ -12,8 +12,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 import trajopt
 from tests.support.command_lines import assert_refused, invoke
 from tests.support.models import placement
-from tests.support.refusals import refusals
-from trajopt import Phase, Problem, Schedule, Solution
+from tests.support.refusals import refusals, refused
+from trajopt import FlatGround, Phase, Problem, Schedule, Solution
 from trajopt.certify.report import AT_POINTS
 from trajopt.dynamics.model_quantities import contact_jacobian, mass_of
 from trajopt.problem.problem import rest
@@ -78,6 +78,12 @@ def test_an_arm_that_holds_still_has_the_torques_of_gravity_less_the_wrench(name
     gravity = pin.computeGeneralizedGravity(model, model.createData(), q)
     expected = gravity - contact_jacobian(model, q, [(frame, 6)]).T @ acting
     assert_allclose(solution.tau, np.tile(expected, (len(solution.tau), 1)), atol=SAME_TORQUE)
+
+
+def test_a_multirotor_in_an_updraught_needs_less_thrust() -> None:
+    updraught = LinkWrench(frame=robots.load("iris").model.frames[2].name, force=(0.0, 0.0, 2.0))
+    hover = trajopt.solve(replace(at_rest("iris", updraught), terrain=FlatGround(height=-2.0)))
+    assert_allclose(hover.tau.sum(axis=1), mass_of(hover.model) * 9.81 - 2.0, atol=SAME_TORQUE)
 
 
 def newton_error(plan: Solution, times: np.ndarray) -> float:
@@ -219,3 +225,10 @@ def test_a_wrench_that_is_constant_where_durations_are_free_is_planned() -> None
     plan = trajopt.solve(hop(free=True, **RAMPED, times=(0.0, 0.3)), intervals=6)
     assert plan.success
     assert newton_error(plan, np.linspace(0, plan.t[-1], 33)) < BETWEEN
+
+
+def test_periodic_plans_take_constant_wrenches_alone() -> None:
+    trot = problems.load("quadruped-trot", robot="solo12")
+    with refused("allowed: constant ones in a periodic motion, without mirror and turn"):
+        replace(trot, wrenches=(side_wind(),))
+    assert replace(trot, wrenches=(LinkWrench(frame="base_link", force=(0.0, 1.0, 0.0)),)).wrenches
