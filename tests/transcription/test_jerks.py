@@ -154,7 +154,7 @@ def test_a_file_keeps_the_motion(tmp_path):
 
 @lru_cache
 def squat() -> Solution:
-    return trajopt.solve(with_jerks(trajopt.load("biped-squat", robot="g1")))
+    return trajopt.solve(trajopt.load("biped-squat", robot="g1", actuation="jerk"))
 
 
 def jumps(solution: Solution, name: str) -> float:
@@ -163,11 +163,6 @@ def jumps(solution: Solution, name: str) -> float:
     ends = solution.polynomials.at(before, np.ones(len(before)))
     starts = solution.polynomials.at(before + 1, np.zeros(len(before)))
     return float(np.abs(getattr(ends, name) - getattr(starts, name)).max())
-
-
-def with_jerks(problem: Problem) -> Problem:
-    jerks = JerkCost(weight=1e-4)
-    return replace(problem, actuation="jerk", terms=(*problem.terms, jerks), default_transcription="radau:3")
 
 
 @pytest.mark.long
@@ -183,7 +178,9 @@ def test_forces_of_contacts_are_continuous_within_phases():
 
 @pytest.mark.slow
 def test_a_trot_repeats_its_accelerations():
-    solution = trajopt.solve(with_jerks(trajopt.load("quadruped-trot", robot="go2")))
+    trot = trajopt.load("quadruped-trot", robot="go2")
+    smooth = (*trot.terms, JerkCost(weight=1e-4))
+    solution = trajopt.solve(replace(trot, actuation="jerk", terms=smooth, default_transcription="radau:3"))
     assert solution.converged, solution.statistics.advice
     report = trajopt.check(solution)
     assert report.within()
@@ -198,7 +195,7 @@ def test_a_trot_repeats_its_accelerations():
 @pytest.mark.slow
 @pytest.mark.parametrize("robot", ["go2", "solo12"])
 def test_a_leap_lifts_off_and_lands_without_a_jump_of_the_acceleration(robot):
-    solution = trajopt.solve(with_jerks(trajopt.load("quadruped-jump-forward", robot=robot)))
+    solution = trajopt.solve(trajopt.load("quadruped-jump-forward", robot=robot, actuation="jerk"))
     assert solution.converged, solution.statistics.advice
     assert trajopt.check(solution).within()
     assert jumps(solution, "a") < 1e-2
