@@ -23,6 +23,7 @@ from trajopt.terms import (
     Term,
     TerminalRest,
     TorqueLimits,
+    TorqueRateLimits,
 )
 from trajopt.terrain import FlatGround
 from trajopt_library import robots
@@ -221,11 +222,11 @@ SMOOTH_JERK = {"effort": 1e-4, "time": 1e-5}
 
 
 def input_terms(robot: Robot, actuation: str, goal: str) -> tuple[Term, ...]:
-    """Limits of accelerations and jerks, and a small cost on jerks, if they are the control input."""
+    """Limits of accelerations, jerks and torque rates, and a small cost on jerks, if they are the control input."""
     if actuation == "torque":
         return ()
-    limits = {"acceleration": AccelerationLimits(), "jerk": JerkLimits()}
-    limited = [term for kind, term in limits.items() if np.isfinite(robot.joint_limit(kind)).any()]
+    limits = (AccelerationLimits(), JerkLimits(), TorqueRateLimits())
+    limited = [term for term in limits if np.isfinite(robot.joint_limit(term.kind)).any()]
     return (*limited, JerkCost(weight=SMOOTH_JERK[goal]))
 
 

@@ -10,20 +10,21 @@ import pinocchio as pin
 from trajopt.arguments import UnboundedPositive, checked
 from trajopt.errors import InputError, not_among
 
-HigherLimit = Literal["acceleration", "jerk"]
+HigherLimit = Literal["acceleration", "jerk", "torque_rate"]
 
 
 @checked
 @dataclass(frozen=True, kw_only=True)
 class JointLimits:
-    """Largest acceleration and jerk of a joint, rad/s^2 and rad/s^3 (m/s^2, m/s^3), inf where there is none.
+    """Largest acceleration, jerk and rate of torque of a joint, inf where there is none.
 
-    Raises InputError for a limit that is not above 0.
+    They are in rad/s^2, rad/s^3 and N m/s (m/s^2, m/s^3, N/s). Raises InputError for a limit that is not above 0.
     """
 
     joint: str
     acceleration: UnboundedPositive = np.inf
     jerk: UnboundedPositive = np.inf
+    torque_rate: UnboundedPositive = np.inf
 
 
 def require_joint_limits(model: pin.Model, limits: Sequence[JointLimits]) -> None:
