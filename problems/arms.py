@@ -222,7 +222,7 @@ SMOOTH_JERK = {"effort": 1e-4, "time": 1e-5}
 
 
 def input_terms(robot: Robot, actuation: str, goal: str) -> tuple[Term, ...]:
-    """Limits of accelerations, jerks and torque rates, and a small cost on jerks, if they are the control input."""
+    """Limits of accelerations, jerks and torque rates, and a small cost on jerks, where these are inputs."""
     if actuation == "torque":
         return ()
     limits = (AccelerationLimits(), JerkLimits(), TorqueRateLimits())

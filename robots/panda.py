@@ -5,7 +5,8 @@ from trajopt.robot import JointLimits, Robot, robot_file
 KIND = "arm"
 # Frame between the finger tips, z pointing out of the hand.
 TOOL = "panda_hand_tcp"
-# Limits of libfranka (rate_limiting.h), beyond which the arm stops: rad/s^2, jerks in rad/s^3 over them, N m/s.
+# Limits of libfranka (rate_limiting.h), beyond which the arm stops: rad/s^2, jerks in rad/s^3 over them, and
+# N m/s.
 ACCELERATION, JERK, TORQUE_RATE = (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0), 500.0, 1000.0
 FINGERS = ("panda_finger_joint1", "panda_finger_joint2")
 

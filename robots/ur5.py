@@ -4,7 +4,7 @@ from trajopt.robot import JointLimits, Robot, robot_file
 
 KIND = "arm"
 TOOL = "tool0"
-# Largest acceleration that ur_rtde accepts, rad/s^2; manuals of Universal Robots limit neither it nor the jerk.
+# rad/s^2, the largest that ur_rtde accepts; the manuals of Universal Robots limit no acceleration or jerk.
 ACCELERATION = 40.0
 
 # Elbow up, tool pointing down in front of the base, far from the singularities of straight elbow and wrist.
@@ -26,4 +26,6 @@ def build() -> Robot:
         base="fixed",
         reference=ELBOW_UP,
     )
-    return robot.with_joint_limits([JointLimits(joint=joint, acceleration=ACCELERATION) for joint in ELBOW_UP])
+    return robot.with_joint_limits(
+        [JointLimits(joint=joint, acceleration=ACCELERATION) for joint in ELBOW_UP]
+    )

@@ -27,13 +27,13 @@ from trajopt.terrain.terrain import Ground
 class Context(Parameters):
     """Symbols of one collocation point, node or impact.
 
-    At a collocation point the inputs ``z`` are (rotations, xi and its derivatives, wrenches, their rates
-    where jerks are the input, time scale); at a node they are its variables; at an impact (rotations, xi, rates before, jump of the rates, impulses,
-    time scale). Entries that a problem lacks (the time scale of a fixed duration, xi'' of a velocity source,
-    the third derivative unless jerks are the input) are left out. ``xi`` (nv) are local coordinates (see
-    `trajopt.dynamics.manifold`), ``dxi``, ``ddxi``, ``dddxi`` their derivatives in true time; ``q``, ``v``,
-    ``a`` are Pinocchio's. Wrenches act on the robot, in world axes at the contact frame's origin, N and N m
-    (impulses N s and N m s).
+    At a collocation point the inputs ``z`` are (rotations, xi and its derivatives, wrenches and their rates,
+    time scale); at a node they are its variables; at an impact (rotations, xi, rates before, jump of the
+    rates, impulses, time scale). Entries that a problem lacks (the time scale of a fixed duration, xi'' of a
+    velocity source, third derivatives and wrenches' rates unless jerks are the input) are left out. ``xi``
+    (nv) are local coordinates (see `trajopt.dynamics.manifold`), ``dxi``, ``ddxi``, ``dddxi`` their
+    derivatives in true time; ``q``, ``v``, ``a`` are Pinocchio's. Wrenches act on the robot, in world axes at
+    the contact frame's origin, N and N m (impulses N s and N m s).
 
     Args:
         robot: the robot, in the coordinates used here.
@@ -341,12 +341,10 @@ class Context(Parameters):
 
     def _state_rates(self) -> tuple[list[ca.SX], list[ca.SX], list[ca.SX]]:
         """Symbols of the inputs and of the forces that have rates, the rates, and the symbols without."""
-        nv, start, order, scale = (
-            self.coordinates.nv, self.rotations.numel(), ORDERS[self.actuation], self.time_scale
-        )  # fmt: skip
+        nv, start, order = self.coordinates.nv, self.rotations.numel(), ORDERS[self.actuation]
+        scale, wrenches = self.time_scale, [*self.unknown_wrenches.values()]
         local = [self.z[start + i * nv : start + (i + 1) * nv] for i in range(order + 1)]
         rates = [self.dxi, scale * self._highest, scale**2 * self._third][:order]
-        wrenches = [*self.unknown_wrenches.values()]
         forces = [] if self._generalized_forces is None else [self._generalized_forces]
         if order < 3:
             return local[:order], rates, [local[order], *wrenches, *forces]

@@ -22,7 +22,6 @@ from trajopt.schedule.schedule import Schedule
 from trajopt.terms.context import Context
 from trajopt.terms.interfaces import NodeConstraint, NodePlace, PointConstraint, Rows, Term
 
-
 # Share of a limit of torque rates that is left for the times between points: what the verdict allows there.
 BETWEEN = 1e-2
 
@@ -180,30 +179,27 @@ class HigherLimits(PointConstraint, ABC):
 
     kind: ClassVar[HigherLimit]
     unit: ClassVar[str]
+    share: ClassVar[float] = 1.0
 
     limit: Annotated[np.ndarray, ArrayShape((None,), infinite=True)] | None = None
 
     def __post_init__(self) -> None:
-        _require_limits(self.name, self.limit, self.unit)
+        _require_limits(self.name, self.limit, self.unit, least=np.nextafter(0, 1))
 
     @abstractmethod
     def quantity(self, context: Context) -> ca.SX:
         """What is limited (nv,)."""
 
-    def natural(self, units: Units) -> np.ndarray:
-        """Natural units (nv,) of the quantity."""
-        return np.asarray(getattr(units, self.kind))
-
     def _limits(self, robot: Robot) -> np.ndarray:
         limit = robot.joint_limit(self.kind) if self.limit is None else np.array(self.limit, dtype=float)
         if limit.shape != (robot.nv,):
             raise InputError(f"limit of {self.name} has shape {limit.shape}", f"allowed: ({robot.nv},)")
-        return limit
+        return self.share * limit
 
     @override
     def rows(self, context: Context, units: Units) -> Rows | None:
         limit = self._limits(context.robot)
-        return _rows_within(lambda: self.quantity(context), -limit, limit, self.natural(units))
+        return _rows_within(lambda: self.quantity(context), -limit, limit, getattr(units, self.kind))
 
     @override
     def idle(self, robot: Robot, schedule: Schedule) -> str:
@@ -225,7 +221,7 @@ class AccelerationLimits(HigherLimits):
         limit: (nv,), rad/s^2 or m/s^2, inf where there is none; default `Robot.joint_limits`.
 
     Raises:
-        InputError: for limits that are negative or NaN.
+        InputError: for limits that are not above 0.
     """
 
     kind, unit = "acceleration", "rad/s^2"
@@ -268,7 +264,7 @@ class JerkLimits(HigherLimits):
         limit: (nv,), rad/s^3 or m/s^3, inf where there is none; default `Robot.joint_limits`.
 
     Raises:
-        InputError: for limits that are negative or NaN, and for another input than jerks.
+        InputError: for limits that are not above 0, and for another input than jerks.
     """
 
     kind, unit = "jerk", "rad/s^3"
@@ -292,10 +288,10 @@ class TorqueRateLimits(HigherLimits):
         limit: (nv,), N m/s or N/s, inf where there is none; default `Robot.joint_limits`.
 
     Raises:
-        InputError: for limits that are negative or NaN, and for another input than jerks.
+        InputError: for limits that are not above 0, and for another input than jerks.
     """
 
-    kind, unit = "torque_rate", "N m/s"
+    kind, unit, share = "torque_rate", "N m/s", 1 - BETWEEN
 
     @override
     def quantity(self, context: Context) -> ca.SX:
@@ -303,23 +299,12 @@ class TorqueRateLimits(HigherLimits):
         rates[rows] = context.rate(context.torque)[: len(rows)]
         return rates
 
-    @override
-    def natural(self, units: Units) -> np.ndarray:
-        return np.full(len(units.jerk), units.torque / units.time)
 
-    @override
-    def _limits(self, robot: Robot) -> np.ndarray:
-        limit, passive = super()._limits(robot), np.ones(robot.nv, dtype=bool)
-        passive[robot.actuated_rows] = False
-        return np.where(passive, np.inf, (1 - BETWEEN) * limit)
-
-
-def _require_limits(term: str, limit: np.ndarray | None, unit: str) -> None:
-    given = np.atleast_1d(np.asarray(0.0 if limit is None else limit, dtype=float))
-    if not np.all(given >= 0):
-        raise InputError(
-            f"limit of {term} holds {given[~(given >= 0)][0]:g}", f"allowed: numbers >= 0, or inf, {unit}"
-        )
+def _require_limits(term: str, limit: np.ndarray | None, unit: str, least: float = 0.0) -> None:
+    given = np.atleast_1d(np.asarray(np.inf if limit is None else limit, dtype=float))
+    if not np.all(given >= least):
+        allowed = f"allowed: numbers {'>' if least else '>='} 0, or inf, {unit}"
+        raise InputError(f"limit of {term} holds {given[~(given >= least)][0]:g}", allowed)
 
 
 def with_far_limits(terms: Sequence[Term], robot: Robot) -> tuple[Term, ...]:

@@ -102,7 +102,7 @@ class Collocation:
         return SparseMatrix.of(np.vstack([*rows, self._time_scale(eye, form)]) * self.window_scale(stage))
 
     def _wrench_rates(self, stage: int, fraction: float, eye: np.ndarray) -> list[np.ndarray]:
-        """Matrix (n_wrench, window) to the rates of the wrenches in nominal time; none unless jerks are the input."""
+        """Matrix (n_wrench, window) to the wrenches' rates in nominal time, where jerks are the input."""
         layout, phase = self.layout, int(self.layout.phase_of[stage])
         if layout.order < 3:
             return []

@@ -109,10 +109,9 @@ def input_labels(context: Context, form: NodeLayout, free_phases: Sequence[str])
     for kind in kinds:
         labels += coordinate_labels(robot, coordinates, kind)
     names = ("impulse", "angular impulse") if impact else ("force", "moment")
-    rates = [(f"{names[0]} rate", f"{names[1]} rate")] if kinds[-1] == "jerk" else []
-    for kind in (names, *rates):
+    for suffix in ("", " rate") if kinds[-1] == "jerk" else ("",):
         for contact in context.contacts:
-            labels += wrench_labels(contact.name, contact.rows, *kind)
+            labels += wrench_labels(contact.name, contact.rows, *(f"{name}{suffix}" for name in names))
     if form.time_scale is not None:
         labels.append(
             Label(owner=f"phase {free_phases[form.time_scale]}", kind="time scale", quantity="duration")
