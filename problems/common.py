@@ -24,6 +24,7 @@ from trajopt.terms import (
     TerminalRest,
     TerminalState,
     TorqueLimits,
+    TorqueRateLimits,
     VelocityLimits,
     contact_cones,
     effort_costs,
@@ -201,9 +202,9 @@ def torque_limits(
 
 
 def jerk_terms(robot: Robot, goal: str) -> tuple[Term, ...]:
-    """Limits of accelerations and jerks that the robot has, and a small cost on jerks."""
-    limits = {"acceleration": AccelerationLimits(), "jerk": JerkLimits()}
-    limited = [term for kind, term in limits.items() if np.isfinite(robot.joint_limit(kind)).any()]
+    """Limits of accelerations, jerks and torque rates that the robot has, and a small cost on jerks."""
+    limits = (AccelerationLimits(), JerkLimits(), TorqueRateLimits())
+    limited = [term for term in limits if np.isfinite(robot.joint_limit(term.kind)).any()]
     return (*limited, JerkCost(weight=SMOOTH_JERK[goal]))
 
 

@@ -120,7 +120,7 @@ def quadruped() -> Solution:
 
 
 def arm() -> Solution:
-    """A UR5 with motors, a joint that follows, a goal, and a report of its simulation."""
+    """A UR5 with motors, a joint that follows, limits, a goal, and a report of its simulation."""
     robot = robots.load("ur5")
     motor, goal = Drive(gear_ratio=9.0, torque_limit=40.0), Target(frame="tool0", position=np.zeros(3))
     return sampled(
@@ -131,6 +131,7 @@ def arm() -> Solution:
         actuated_rows=[*range(6)],
         drives=[motor.to_meta(), *[None] * 5],
         mimics=[MimicJoint(joint="wrist_2_joint", mimics="wrist_1_joint").to_meta()],
+        joint_limits=[limit.to_meta() for limit in robot.joint_limits],
         goals=[goal.describe()],
         simulation={"tracked": True},
     )

@@ -15,6 +15,7 @@ from trajopt.errors import InputError
 from trajopt.robot.actuators.actuation import Thruster
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.actuators.joint_force import JointForce
+from trajopt.robot.actuators.joint_limits import JointLimits
 from trajopt.robot.actuators.mimic import MimicJoint
 from trajopt.robot.data import VisualSource
 from trajopt.robot.link_wrench import LinkWrench
@@ -149,6 +150,7 @@ class PlanDescription:
         thrusters: Thrusters; their forces are the last columns of the torques.
         joint_forces: Springs, damping and dry friction at joints; part of the dynamics.
         mimics: Joints that follow others.
+        joint_limits: Limits of accelerations, jerks and torque rates.
         terrain: None if unknown.
         surfaces, patches: For each phase, what active contacts touch or stand on, by contact frame; empty if
             all touch the terrain.
@@ -178,6 +180,7 @@ class PlanDescription:
     thrusters: tuple[Thruster, ...] = ()
     joint_forces: tuple[JointForce, ...] = ()
     mimics: tuple[MimicJoint, ...] = ()
+    joint_limits: tuple[JointLimits, ...] = ()
     terrain: Terrain | None = None
     surfaces: tuple[Mapping[str, Surface], ...] = ()
     patches: tuple[Mapping[str, Patch], ...] = ()

@@ -24,6 +24,7 @@ from trajopt.motion.statistics import GradedStatistics, RoundStatistics, SolveSt
 from trajopt.robot.actuators.actuation import Thruster
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.actuators.joint_force import JointForce
+from trajopt.robot.actuators.joint_limits import JointLimits
 from trajopt.robot.actuators.mimic import MimicJoint
 from trajopt.robot.data import VisualSource
 from trajopt.robot.link_wrench import LinkWrench
@@ -46,6 +47,7 @@ REQUIRED = (
 DESCRIBED = (
     *("problem", "parameters", "robot", "actuation", "dynamics", "gravity"),
     *("effort_limit", "velocity_limit", "actuated_rows", "thrusters", "joint_forces", "mimics"),
+    "joint_limits",
     *("contact_frames", "contact_names", "contact_kinds", "contact_sizes", "contact_radius", "friction"),
     *("contact_rolling", "wrenches"),
     *("terrain", "surfaces", "patches", "goals", "payloads", "periodicity", "drives", "bodies", "collision"),
@@ -88,6 +90,7 @@ def description_of(meta: Mapping[str, Any], n_phases: int) -> PlanDescription:
         joint_forces=tuple(_each(meta, "joint_forces", JointForce.from_meta)),
         mimics=tuple(_each(meta, "mimics", MimicJoint.from_meta)),
         wrenches=tuple(_each(meta, "wrenches", lambda entry: LinkWrench(**entry))),
+        joint_limits=tuple(_each(meta, "joint_limits", JointLimits.from_meta)),
         terrain=_optional(meta, "terrain", terrain_from_description),
         surfaces=_by_phase(meta, "surfaces", "surface", Surface.from_description),
         patches=_by_phase(meta, "patches", "patch", Patch.from_description),
@@ -183,7 +186,7 @@ def _described_options(plan: PlanDescription) -> _Json:
         options["contact_rolling"] = plan.rolling
     if plan.actuated_rows is not None:
         options["actuated_rows"] = plan.actuated_rows
-    for name in ("thrusters", "joint_forces", "mimics"):
+    for name in ("thrusters", "joint_forces", "mimics", "joint_limits"):
         if getattr(plan, name):
             options[name] = [entry.to_meta() for entry in getattr(plan, name)]
     for name in ("payloads", "wrenches"):

@@ -77,6 +77,9 @@ def require_actuation(
             else f"phase '{modes[0]}' has minimal coordinates"
         )
         raise InputError(f"{what}, and jerks are the input", "allowed: neither impacts nor modes")
+    if actuation == "jerk" and initial_v.any() and schedule.phases[0].contacts:
+        what = f"phase '{schedule.phases[0].name}' begins on contacts in motion, and jerks are the input"
+        raise InputError(what, "allowed: initial_v zero, as the accelerations at the start")
     if actuation != "velocity":
         return
     if initial_v.any():

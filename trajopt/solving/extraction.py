@@ -292,6 +292,7 @@ def described_robot(problem: Problem) -> dict[str, Any]:
         "thrusters": robot.thrusters,
         "joint_forces": robot.joint_forces,
         "mimics": robot.mimics,
+        "joint_limits": robot.joint_limits,
         "contacts": tuple(_contact(contact, problem.terrain.friction) for contact in robot.contacts),
         "surfaces": _surfaces(problem),
         "patches": _patches(problem),

@@ -33,16 +33,32 @@ _Layers = tuple[ca.Function, ...]
 
 def robot_layers(context: Context, expression: ca.SX) -> tuple[ca.SX, _Layers]:
     """Symbols o that ``expression`` uses, and layers that compute them from z and the known wrenches."""
-    groups = [context.dynamics_symbols(), context.frame_symbols()]
-    outputs = ca.vertcat(*groups)
+    values = context.robot_symbols()
+    outputs, count = ca.vertcat(values, context.force_rates), values.numel()
     pattern = ca.jacobian_sparsity(expression, outputs)
     used = np.unique(pattern.get_triplet()[1]).astype(int)
     if len(used) == 0:
         return ca.SX(0, 1), ()
-    split = groups[0].numel()
-    if np.all(used < split) and context.has_free_flyer:
-        return outputs[used.tolist()], _base_axes_layers(context, used.tolist())
-    return outputs[used.tolist()], _plain_layers(context, used.tolist())
+    needed = np.unique(used % count).tolist()  # rates of forces come last, and forces first
+    in_base = needed[-1] < context.dynamics_symbols().numel() and context.has_free_flyer
+    layers = (_base_axes_layers if in_base else _plain_layers)(context, needed)
+    if used[-1] >= count:
+        places = np.searchsorted(needed, used % count) + len(needed) * (used >= count)
+        layers = _with_rates(context, layers, places.tolist())
+    return outputs[used.tolist()], layers
+
+
+def _with_rates(context: Context, layers: _Layers, used: list[int]) -> _Layers:
+    """Layers from z to these entries of the outputs and their rates, each with its derivative along them."""
+    values = layers[0](context.z)
+    moved = [ca.Function("rates", [context.z], [ca.vertcat(values, context.rate(values))])]
+    for layer in layers[1:]:
+        s, rate = ca.SX.sym("s", layer.numel_in(0)), ca.SX.sym("ds", layer.numel_in(0))
+        values = layer(s)
+        both = ca.vertcat(values, ca.jtimes(values, s, rate))
+        moved.append(ca.Function(layer.name(), [ca.vertcat(s, rate)], [both]))
+    s = ca.SX.sym("s", moved[-1].numel_out(0))
+    return (*moved, ca.Function("used", [s], [s[used]]))
 
 
 def _plain_layers(context: Context, used: list[int]) -> _Layers:
