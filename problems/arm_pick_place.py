@@ -117,7 +117,7 @@ def build(
         default_transcription="legendre:1" if goal == "time" else "legendre:2",
         payloads=dict.fromkeys(CARRIED, cube(arm, mass)) if mass > 0 else {},
         actuation=actuation,
-        more=arms.input_terms(arm.robot, actuation, goal),
+        goal=goal,
     )
 
 
@@ -154,7 +154,8 @@ FAMILY = Family(
         ),
         common.goal("effort", "time", meaning="objective: torques or time"),
         common.duration("duration", None, "total duration (default: from the limits)", (1e-3, 120.0)),
-        arms.ACTUATION,
+        common.ACTUATION,
     ),
     build=build,
+    variants=arms.VARIANTS,
 )

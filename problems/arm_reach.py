@@ -66,7 +66,6 @@ def build(
         parameters=dict(zip("xyz", goal.translation.tolist(), strict=True)) | {"duration": time},
         default_intervals=30,
         actuation=actuation,
-        more=arms.input_terms(arm.robot, actuation, "effort"),
     )
 
 
@@ -127,7 +126,8 @@ FAMILY = Family(
         ),
         *turns("the start orientation turned to the goal's heading"),
         common.duration("duration", None, "duration (default: estimated from the limits)", (1e-3, 60.0)),
-        arms.ACTUATION,
+        common.ACTUATION,
     ),
     build=build,
+    variants=arms.VARIANTS,
 )

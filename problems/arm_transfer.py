@@ -59,7 +59,7 @@ def transfer(
         default_intervals=2 * intervals if fast else intervals,
         default_transcription="legendre:1" if fast else "legendre:2",
         actuation=actuation,
-        more=arms.input_terms(robot, actuation, goal),
+        goal=goal,
     )
 
 
@@ -97,7 +97,8 @@ FAMILY = Family(
             "duration, with goal=time its guess (default: estimated from the limits)",
             (1e-3, 60.0),
         ),
-        arms.ACTUATION,
+        common.ACTUATION,
     ),
     build=build,
+    variants=arms.VARIANTS,
 )

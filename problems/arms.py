@@ -15,11 +15,8 @@ from trajopt.problem import Parameter, PosturePath, Problem
 from trajopt.robot import Posture, Robot, Units, frame_pose, inverse_kinematics, require_moving
 from trajopt.schedule import Motion, Phase, Schedule
 from trajopt.terms import (
-    AccelerationLimits,
     DriveLimits,
     FramePose,
-    JerkCost,
-    JerkLimits,
     Term,
     TerminalRest,
     TorqueLimits,
@@ -31,6 +28,7 @@ from . import common
 
 # Arms on which families are tested; others work by name or file.
 ARMS = ("ur5", "panda", "kinova", "irb1600", "z1", "xarm7")
+VARIANTS = {"actuation=jerk": ("ur5", "panda", "z1", "xarm7")}
 # Steps in which inverse kinematics follow the tool, to stay on the reference's branch.
 STEPS = 12
 # Largest error of a pose that is reached, m and rad.
@@ -210,23 +208,6 @@ def strength(arm: Arm, postures: Sequence[np.ndarray], direction: np.ndarray) ->
 def torque_limits(robot: Robot) -> Term:
     """Torque limits, or those of the drives if the robot has any."""
     return TorqueLimits() if robot.drives is None else DriveLimits()
-
-
-# The control input. With jerks, accelerations are continuous, and zero at both ends.
-ACTUATION = common.choice(
-    "actuation", "control input: torques, or jerks within the robot's limits", "torque", "jerk"
-)
-# Weights of jerks, which give every direction of the motion a cost; see `arm_transfer`.
-SMOOTH_JERK = {"effort": 1e-4, "time": 1e-5}
-
-
-def input_terms(robot: Robot, actuation: str, goal: str) -> tuple[Term, ...]:
-    """Limits of accelerations and jerks, and a small cost on jerks, if they are the control input."""
-    if actuation == "torque":
-        return ()
-    limits = {"acceleration": AccelerationLimits(), "jerk": JerkLimits()}
-    limited = [term for kind, term in limits.items() if np.isfinite(robot.joint_limit(kind)).any()]
-    return (*limited, JerkCost(weight=SMOOTH_JERK[goal]))
 
 
 def between(

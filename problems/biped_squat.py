@@ -1,5 +1,7 @@
 """A biped squats: down on both feet and up again, from rest to rest."""
 
+from typing import Any
+
 from trajopt.problem import Family, Problem
 from trajopt.reduced import legged_guess
 from trajopt.robot import Units
@@ -13,7 +15,7 @@ DEPTH, DURATION = 0.2, 6.0
 INTERVALS = 30
 
 
-def build(*, robot: str, depth: float | None, duration: float | None, **limits: float) -> Problem:
+def build(*, robot: str, depth: float | None, duration: float | None, **limits: Any) -> Problem:
     """Build the squat; see ``FAMILY`` for the parameters. Raises InputError."""
     body = bipeds.biped(robot)
     if depth is None:
@@ -57,6 +59,8 @@ FAMILY = Family(
         common.duration("duration", None, "total duration (default: from the robot's length)", (0.05, 60.0)),
         common.friction(0.7),
         common.TORQUE_SHARE,
+        common.ACTUATION,
     ),
     build=build,
+    variants={"actuation=jerk": bipeds.ROBOTS},
 )

@@ -15,12 +15,16 @@ from trajopt.reduced import hermite as hermite
 from trajopt.robot import Robot, quadruped_legs
 from trajopt.schedule import Motion, Phase, Schedule
 from trajopt.terms import (
+    AccelerationLimits,
     Actuation,
+    JerkCost,
+    JerkLimits,
     PositionLimits,
     Term,
     TerminalRest,
     TerminalState,
     TorqueLimits,
+    TorqueRateLimits,
     VelocityLimits,
     contact_cones,
     effort_costs,
@@ -99,6 +103,14 @@ def goal(*choices: str, meaning: str = "objective") -> Choice:
 # One torque limit for all joints; default: the robot's own limits.
 TORQUE_LIMIT = number("torque_limit", None, "N m", "torque limit (default: the URDF's)", (0.0, 1e4))
 TORQUE_SHARE = number("torque_share", 1.0, "", "usable fraction of the torque limits", (1e-3, 1.0))
+# The control input. With jerks, accelerations are continuous, and zero at rest.
+ACTUATION = choice(
+    "actuation", "control input: torques, or jerks within the robot's limits", "torque", "jerk"
+)
+# Weights of jerks, which give every direction of the motion a cost, by the goal.
+SMOOTH_JERK = {"effort": 1e-4, "time": 1e-5}
+# With a moving base rows hold at nodes, where contacts would ring; the degree is twice that of most problems.
+JERK_SCHEME, JERK_INTERVALS = "radau:4", 0.5
 # Kind of touchdown: `hop_schedule` takes ``impact``, which needs a cost on impulses.
 TOUCHDOWN = choice("touchdown", "land at zero foot velocity or by a rigid impact", "soft", "impact")
 
@@ -189,6 +201,13 @@ def torque_limits(
     return TorqueLimits(limit=torque_share * robot.torque_limit)
 
 
+def jerk_terms(robot: Robot, goal: str) -> tuple[Term, ...]:
+    """Limits of accelerations, jerks and torque rates that the robot has, and a small cost on jerks."""
+    limits = (AccelerationLimits(), JerkLimits(), TorqueRateLimits())
+    limited = [term for term in limits if np.isfinite(robot.joint_limit(term.kind)).any()]
+    return (*limited, JerkCost(weight=SMOOTH_JERK[goal]))
+
+
 def problem(
     name: str,
     robot: Robot,
@@ -208,6 +227,7 @@ def problem(
     initial_q: np.ndarray | None = None,
     initial_v: np.ndarray | None = None,
     actuation: Actuation = "torque",
+    goal: str = "effort",
     **settings: Any,
 ) -> Problem:
     """A motion with costs and all limits, by default from rest in the reference posture on level ground.
@@ -229,7 +249,8 @@ def problem(
         more: further terms.
         initial_q: (nq,), default the reference.
         initial_v: (nv,), default rest.
-        actuation: the control input.
+        actuation: the control input; jerks get `jerk_terms` and, with a moving base, `JERK_SCHEME`.
+        goal: the objective, for the weight of jerks.
         settings: other fields of `Problem`.
     """
     ground = FlatGround(friction=friction) if terrain is None else terrain
@@ -237,6 +258,11 @@ def problem(
     if torques is None:
         torques = torque_limits(robot, torque_limit, torque_share)
     limits = (torques,) if actuation in ("torque", "jerk") else ()
+    if actuation == "jerk":
+        more = (*more, *jerk_terms(robot, goal))
+        if robot.base != "fixed":
+            settings["default_transcription"] = JERK_SCHEME
+            settings["default_intervals"] = intervals(JERK_INTERVALS * settings["default_intervals"])
     swings: tuple[Term, ...] = ()
     if clearance is not None:
         swings = swing_clearance(robot, schedule, ground, height=clearance, guess=guess)

@@ -162,5 +162,6 @@ def problem(
         more=(*below, *more),
         end=end,
         initial_q=start,
+        goal=goal,
         **settings,
     )

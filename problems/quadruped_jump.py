@@ -1,14 +1,15 @@
 """Jumps of quadrupeds from level ground to level ground: up, forward, sideways and turning."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
+from types import MappingProxyType
 from typing import Literal
 
 from trajopt.problem import Family, Problem
 from trajopt.robot import Robot, Units
 from trajopt.schedule import middle_of
-from trajopt.terms import FrameHeight
+from trajopt.terms import Actuation, FrameHeight
 from trajopt.terrain import FlatGround
 
 from . import common, leaping, pushing
@@ -58,6 +59,7 @@ def build(
     direction: Direction,
     kind: str = "quadruped",
     load: Callable[[str], Robot] = common.quadruped,
+    actuation: Actuation = "torque",
     **given: float | None,
 ) -> Problem:
     """Build the jump; see ``FAMILIES`` for the parameters. Raises InputError.
@@ -78,6 +80,7 @@ def build(
         torque_limit=torque_limit,
         turn=values["yaw"],
         goal=goal,
+        actuation=actuation,
         more=(FrameHeight(frame=body.model.names[1], height=top, at=middle_of("flight")),),
         parameters=values,
         default_intervals=INTERVALS[goal],
@@ -91,6 +94,7 @@ def family(
     kind: str = "quadruped",
     robots: tuple[str, ...] = ROBOTS,
     load: Callable[[str], Robot] = common.quadruped,
+    variants: Mapping[str, tuple[str, ...]] = MappingProxyType({}),
 ) -> Family:
     """The family of jumps in a direction, on robots of a kind."""
     return Family(
@@ -107,14 +111,16 @@ def family(
             common.friction(0.7),
             common.TORQUE_LIMIT,
             common.goal("effort", "time"),
+            common.ACTUATION,
         ),
         build=partial(build, direction=direction, kind=kind, load=load),
+        variants=variants,
     )
 
 
 FAMILIES = (
     family("up", "jump straight up, land on the same places and come to rest"),
-    family("forward", "jump forward from stance to stance"),
+    family("forward", "jump forward from stance to stance", variants={"actuation=jerk": ROBOTS}),
     family("sideways", "jump to the left from stance to stance"),
     family("turn", "jump up and turn to the left in flight"),
 )

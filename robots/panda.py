@@ -5,8 +5,9 @@ from trajopt.robot import JointLimits, Robot, robot_file
 KIND = "arm"
 # Frame between the finger tips, z pointing out of the hand.
 TOOL = "panda_hand_tcp"
-# Limits of libfranka (rate_limiting.h), beyond which the arm stops: rad/s^2, and jerks in rad/s^3 over them.
-ACCELERATION, JERK = (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0), 500.0
+# Limits of libfranka (rate_limiting.h), beyond which the arm stops: rad/s^2, jerks in rad/s^3 over them, and
+# N m/s.
+ACCELERATION, JERK, TORQUE_RATE = (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0), 500.0, 1000.0
 FINGERS = ("panda_finger_joint1", "panda_finger_joint2")
 
 # Posture "default" of the SRDF with closed fingers: elbow up, hand pointing down in front of the base.
@@ -32,7 +33,12 @@ def build() -> Robot:
     )
     return robot.with_joint_limits(
         [
-            JointLimits(joint=f"panda_joint{i}", acceleration=acceleration, jerk=JERK * acceleration)
+            JointLimits(
+                joint=f"panda_joint{i}",
+                acceleration=acceleration,
+                jerk=JERK * acceleration,
+                torque_rate=TORQUE_RATE,
+            )
             for i, acceleration in enumerate(ACCELERATION, 1)
         ]
     )

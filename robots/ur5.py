@@ -1,9 +1,11 @@
 """UR5, the six-joint arm of Universal Robots, bolted to the ground; its tool frame is ``tool0``."""
 
-from trajopt.robot import Robot, robot_file
+from trajopt.robot import JointLimits, Robot, robot_file
 
 KIND = "arm"
 TOOL = "tool0"
+# rad/s^2, the largest that ur_rtde accepts; the manuals of Universal Robots limit no acceleration or jerk.
+ACCELERATION = 40.0
 
 # Elbow up, tool pointing down in front of the base, far from the singularities of straight elbow and wrist.
 ELBOW_UP = {
@@ -17,10 +19,13 @@ ELBOW_UP = {
 
 
 def build() -> Robot:
-    """Return the UR5 with a fixed base and no contacts; limits are those of its URDF."""
-    return Robot.from_urdf(
+    """Return the UR5 with a fixed base and no contacts; limits are those of its URDF and ur_rtde."""
+    robot = Robot.from_urdf(
         robot_file("ur_description/urdf/ur5_robot.urdf"),
         name="ur5",
         base="fixed",
         reference=ELBOW_UP,
+    )
+    return robot.with_joint_limits(
+        [JointLimits(joint=joint, acceleration=ACCELERATION) for joint in ELBOW_UP]
     )

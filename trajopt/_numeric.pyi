@@ -41,6 +41,9 @@ class Dynamics:
     def roll(self, number: int, lever: Reals) -> None:
         """Contact ``number``, a point, is the centre of a ball that rolls, ``lever`` (3,) m off its plane."""
 
+    def load(self, number: int, frame: int, point: Reals, fractions: Reals, wrenches: Reals) -> None:
+        """Wrench ``number`` of later integrations, (n, 6) at n fractions of them, at a point of a frame."""
+
     def accelerations(self, q: Reals, v: Reals, force: Reals) -> Reals:
         """Accelerations (n, nv) at n states under forces (n, nv); NaN where the mass matrix is singular."""
 

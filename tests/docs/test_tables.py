@@ -110,7 +110,7 @@ def test_iterations_of_the_library_are_within_the_regression_data() -> None:
 def test_the_suite_has_as_many_pairs_as_its_pages_say() -> None:
     bands, _ = read(ROOT / "tests/data/suite.csv")
     assert int(table(PAGES["suite"][1])[0]["to the grade"]) == len(bands)
-    families, robots = ({getattr(band, key) for band in bands.values()} for key in ("problem", "robot"))
+    families, robots = ({getattr(band, key) for band in bands.values()} for key in ("family", "robot"))
     said = f"{len(families)} problem families on {len(robots)} robots, [{len(bands)} pairs]"
     assert said in Path(ROOT / "README.md").read_text(encoding="utf-8")
 

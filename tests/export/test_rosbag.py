@@ -14,6 +14,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability
 
+import trajopt
 from tests.support.command_lines import invoke
 from tests.support.exported_plans import (
     ROUNDING,
@@ -30,6 +31,8 @@ from trajopt.motion.solution import Solution
 pytestmark = pytest.mark.long
 
 RATE = 30
+# What the solver leaves of limits, relative.
+SOLVED = 1e-4
 SECOND = 1_000_000_000
 KINDS = ["turning trot", "mirrored walk", "planar hops", "an arm", "an impact"]
 
@@ -218,6 +221,20 @@ def test_a_trajectory_ends_at_the_end_of_the_plan_with_the_fields_asked_for(tmp_
     assert_allclose(last.positions, plan.q[-1], atol=ROUNDING)
     assert_allclose(last.velocities, 0.0, atol=ROUNDING)
     assert len(last.accelerations) == len(last.effort) == 0
+
+
+def test_a_trajectory_at_1_khz_keeps_limits_of_acceleration_jerk_and_torque_rate(tmp_path: Path) -> None:
+    plan = trajopt.solve(trajopt.load("arm-transfer", robot="panda", actuation="jerk"))
+    points = exported(plan, tmp_path, rate=1000).only("/joint_trajectory").points
+    t = np.array([nanoseconds(point.time_from_start) for point in points]) / SECOND
+    a, tau = (np.array([getattr(point, name) for point in points]) for name in ("accelerations", "effort"))
+    limit = trajopt.robot("panda").joint_limit
+    inside = slice(0, -1)  # the last step is shorter than the rounding of stamps allows
+    for values, kind in ((a, "jerk"), (tau, "torque_rate")):
+        rates = np.abs(np.diff(values, axis=0))[inside] / np.diff(t)[inside, None]
+        assert (rates <= limit(kind) * (1 + SOLVED)).all(), kind
+        assert (rates > 0.2 * limit(kind)).any(), kind
+    assert (np.abs(a) <= limit("acceleration") * (1 + SOLVED)).all()
 
 
 def test_unknown_fields_are_refused(tmp_path: Path) -> None:

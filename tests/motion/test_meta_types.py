@@ -22,6 +22,7 @@ from trajopt.export.exported_motion import sample_cycles
 from trajopt.motion.consistency import inconsistency
 from trajopt.motion.meta import DESCRIBED, description_of, jsonable, require_keys, statistics_of
 from trajopt.motion.solution import Solution
+from trajopt.robot import LinkWrench
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.actuators.joint_force import JointForce
 from trajopt.robot.actuators.mimic import MimicJoint
@@ -85,6 +86,7 @@ def quadruped() -> Solution:
         payloads=[
             {"frame": feet[0], "mass": 0.5, "centre": [0.0] * 3, "inertia": np.eye(3) / 100, "phases": [0]}
         ],
+        wrenches=[vars(LinkWrench(frame=feet[0], force=[[0.0] * 3, [1.0] * 3], times=(0.0, 0.1)))],
         periodicity={
             "index": [*range(18)],
             "sign": [1] * 18,
@@ -118,7 +120,7 @@ def quadruped() -> Solution:
 
 
 def arm() -> Solution:
-    """A UR5 with motors, a joint that follows, a goal, and a report of its simulation."""
+    """A UR5 with motors, a joint that follows, limits, a goal, and a report of its simulation."""
     robot = robots.load("ur5")
     motor, goal = Drive(gear_ratio=9.0, torque_limit=40.0), Target(frame="tool0", position=np.zeros(3))
     return sampled(
@@ -129,6 +131,7 @@ def arm() -> Solution:
         actuated_rows=[*range(6)],
         drives=[motor.to_meta(), *[None] * 5],
         mimics=[MimicJoint(joint="wrist_2_joint", mimics="wrist_1_joint").to_meta()],
+        joint_limits=[limit.to_meta() for limit in robot.joint_limits],
         goals=[goal.describe()],
         simulation={"tracked": True},
     )

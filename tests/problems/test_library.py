@@ -68,7 +68,7 @@ def test_representatives_hold_every_problem_and_every_robot():
 @pytest.mark.slow
 @pytest.mark.parametrize("case", representatives(CASES), ids=lambda case: case.name)
 def test_pair_is_solved_and_checked_within_its_bands(case: Case) -> None:
-    solution = motion(case.problem, **case.values)
+    solution = motion(case.family, **case.values)
     own = attempt(solution, None, legged=False)
     outcome = Outcome(problem=case.problem, robot=case.robot, own=own)
     entries, _ = data.read(DATA)

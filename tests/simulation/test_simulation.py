@@ -356,7 +356,7 @@ def test_half_a_cycle_is_followed_by_its_mirror_image():
             {"gain": 2.0},
             "a simulation has no setting gain; allowed: timestep, control_rate, kp, kd, friction_scale, "
             "mass_scale, noise, seed, cycles, push, rolling, controller, gains, qp_solver, impulse, "
-            "events, sensor_noise, delay, torque_step, torque_rate, com_offset, ground_offsets",
+            "wrenches, events, sensor_noise, delay, torque_step, torque_rate, com_offset, ground_offsets",
         ),
         ({"rolling": 1}, "rolling of SimulationSettings is 1; allowed: True or False or None"),
         ({"noise": "much"}, "noise of SimulationSettings is 'much'; allowed: a finite number from 0 to 1"),

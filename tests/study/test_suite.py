@@ -49,7 +49,7 @@ def run_pairs(names: list[str], settings: SuiteSettings, folder: Path | None = N
 def test_every_family_meets_every_robot_that_it_names():
     cases = all_cases(families())
     assert {one.name for one in cases if one.problem == "t-robots"} == {"t-robots@one", "t-robots@two"}
-    assert len(cases) == sum(len(family.robots) for family in families().values())
+    assert len(cases) == sum(len(on) for family in families().values() for on in family.tested.values())
     assert list(cases) == sorted(cases)
 
 
@@ -61,6 +61,18 @@ def test_patterns_and_robots_select():
     assert select(families(), ["solo12-jump"]) == (
         Case(problem="solo12-jump", robot="solo12", takes_robot=False),
     )
+
+
+def test_a_family_is_also_run_with_settings_of_its_variants():
+    named = select(families(), ["arm-reach*"], ["panda"])
+    assert [one.name for one in named] == ["arm-reach@panda", "arm-reach:actuation=jerk@panda"]
+    assert [one.values for one in named] == [{"robot": "panda"}, {"robot": "panda", "actuation": "jerk"}]
+    assert {one.family for one in named} == {"arm-reach"}
+    assert [one.name for one in select(families(), ["arm-reach"], ["panda"])] == ["arm-reach@panda"]
+    reach = families()["arm-reach"]
+    for setting, words in (("actuation=fast", "actuation"), ("speed=1", "no parameter 'speed'")):
+        with pytest.raises(InputError, match=words):
+            replace(reach, parameters=reach.parameters[1:], variants={setting: ("panda",)})
 
 
 def test_a_robot_file_meets_the_families_that_take_a_robot(tmp_path: Path):

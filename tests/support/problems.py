@@ -10,6 +10,7 @@ import pinocchio as pin
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.problem.problem import Problem
 from trajopt.robot.contact import Contact
+from trajopt.robot.link_wrench import LinkWrench
 from trajopt.robot.robot import Robot
 from trajopt.robot.units import Units
 from trajopt.schedule import middle_of
@@ -214,12 +215,16 @@ def still() -> Problem:
 
 
 def point_of(
-    robot: Robot, contacts: tuple[str, ...], terms: tuple[Term, ...], kind: type[Context] = Context
+    robot: Robot,
+    contacts: tuple[str, ...],
+    terms: tuple[Term, ...],
+    kind: type[Context] = Context,
+    given: tuple[LinkWrench, ...] = (),
 ) -> tuple[PointFunction, np.ndarray]:
     """The point function of a phase, as a transcription builds it, and its parameters' values."""
     active = tuple(robot.contact(name) for name in contacts)
     surfaces = {name: FlatGround().surface for name in contacts}
-    context = kind(robot, Coordinates(robot.model), active, node=False, surfaces=surfaces)
+    context = kind(robot, Coordinates(robot.model), active, node=False, surfaces=surfaces, given=given)
     units, always = Units(robot), (BaseDynamics(), ContactAcceleration())
     costs = [term.value(context, units) for term in terms if isinstance(term, Cost)]
     constraints = [term for term in (*always, *terms) if isinstance(term, PointConstraint)]

@@ -152,6 +152,11 @@ def jerk_limits(point: Point, term: Any) -> RowsOf:
     return point.dddxi[6:], -term.limit[6:], term.limit[6:], point.units.jerk[6:]
 
 
+def torque_rate_limits(point: Point, term: Any) -> RowsOf:
+    limit = 0.99 * term.limit[6:]
+    return point.torque_rate, -limit, limit, point.units.torque / point.units.time
+
+
 def of_joints(scale: Scale, order: int) -> np.ndarray:
     """Limits (8,) of the hopper's joints, the derivatives of that order of an angle and a length."""
     return np.array([INF] * 6 + [3.0, 2.0 * scale.length]) / scale.time**order
@@ -403,6 +408,13 @@ CASES: dict[str, Case] = {
         lambda s: terms.PostureCost(weight=2.0, q=goal(s), joints=("shank",)), lambda p, t: posture(p, t)[1:]
     ),
     "jerk": cost(lambda s: terms.JerkCost(weight=2.0), lambda p, t: p.dddxi / p.units.jerk, actuation="jerk"),
+    "torque rate": cost(
+        lambda s: terms.TorqueRateCost(weight=2.0),
+        lambda p, t: p.torque_rate * p.units.time / p.units.torque,
+        robot=driven,
+        actuation="jerk",
+        **OVER_TORQUE,
+    ),
     "centre of mass along a path": cost(
         lambda s: terms.CentreOfMassCost(weight=2.0, path=lambda t: PLACE * s.length, axes="zx"),
         lambda p, t: ((centre(p) - PLACE * p.scale.length) / p.units.length)[[0, 2]],
@@ -425,6 +437,12 @@ CASES: dict[str, Case] = {
         lambda s: terms.AccelerationLimits(limit=of_joints(s, 2)), acceleration_limits
     ),
     "jerk limits": rows(lambda s: terms.JerkLimits(limit=of_joints(s, 3)), jerk_limits, actuation="jerk"),
+    "torque rate limits": rows(
+        lambda s: terms.TorqueRateLimits(limit=of_joints(s, 1) * s.torque),
+        torque_rate_limits,
+        actuation="jerk",
+        **OVER_TORQUE,
+    ),
     "wrench": cost(lambda s: terms.WrenchCost(weight=2.0), wrench),
     "wrench of a sole": cost(lambda s: terms.WrenchCost(weight=2.0), wrench, robot=sole),
     "time": cost(lambda s: terms.TimeCost(weight=2.0), lambda p, t: np.ones(1)),

@@ -21,6 +21,9 @@ from trajopt.terrain import FlatGround, Ground
 
 # A duration that is free is this multiple of the nominal one.
 TIME_SCALE = 1.3
+# Weights of central differences of eighth order, and their step in natural time: rounding and the ninth
+# derivative are below 1e-11.
+EIGHTH_ORDER, SHARE_OF_TIME = (4 / 5, -1 / 5, 4 / 105, -1 / 280), 0.02
 
 
 @dataclass(frozen=True)
@@ -115,6 +118,8 @@ class Point:
     place: Place
     actuation: Actuation
     units: Units
+    # The motion after a time in s at constant jerks and rates of wrenches.
+    later: Callable[[float], "Point"] | None = None
 
     @cached_property
     def data(self) -> pin.Data:
@@ -152,6 +157,15 @@ class Point:
         unactuated, drives = self.robot.n_unactuated, self.robot.drives
         friction = [d.friction_torque(r) for d, r in zip(drives or (), self.v[unactuated:], strict=False)]
         return self.forces[unactuated:] + (np.array(friction) if drives else 0.0)
+
+    @property
+    def torque_rate(self) -> np.ndarray:
+        """Rates (nu,) of the torques, by central differences of eighth order."""
+        step = SHARE_OF_TIME * self.units.time
+        return sum(
+            weight / step * (self.later(k * step).torque - self.later(-k * step).torque)
+            for k, weight in enumerate(EIGHTH_ORDER, 1)
+        )
 
     @property
     def on_surface(self) -> np.ndarray:
@@ -284,6 +298,8 @@ class Evaluated:
         start = xi[coordinates.additive_index] if place is Place.NODE else xi
         rates = [] if velocity_source and place is Place.NODE else [dxi * TIME_SCALE]
         second += [third * TIME_SCALE**3] if jerks else []
+        change = wrench * random.uniform(-0.5, 0.5, 6) / units.time
+        held += [TIME_SCALE * change[list(c.rows)] for c in contacts.values()] if jerks else []
         z = np.concatenate([rotations, start, *rates, *second, *held, [TIME_SCALE]])
         after = dxi + ddxi if place is Place.IMPACT else dxi
         q, v, a = self._pinocchio(rotations, xi, after, ddxi)
@@ -295,4 +311,17 @@ class Evaluated:
             self.case.actuation,
             (xi, dxi, ddxi, third),
         )
-        return z, Point(self.robot, self.scale, surface, *motion, q, v, a, wrench, place, actuation, units)
+        known = place, actuation, units
+
+        def later(h: float) -> Point:
+            moved = (
+                xi + h * dxi + h**2 / 2 * ddxi + h**3 / 6 * third,
+                dxi + h * ddxi + h**2 / 2 * third,
+                ddxi + h * third,
+            )
+            state, loaded = self._pinocchio(rotations, *moved), wrench + h * change
+            return Point(self.robot, self.scale, surface, *moved, third, *state, loaded, *known)
+
+        return z, Point(
+            self.robot, self.scale, surface, *motion, q, v, a, wrench, *known, later if jerks else None
+        )

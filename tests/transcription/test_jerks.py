@@ -1,5 +1,6 @@
 """Jerks as the input: accelerations are continuous, and jerks are within limits at any time."""
 
+import csv
 import math
 from dataclasses import replace
 from functools import lru_cache
@@ -11,12 +12,13 @@ import pytest
 import trajopt
 from tests.support.refusals import refused_calls
 from trajopt import InputError, Phase, Problem, Robot, Schedule, Solution, terms
+from trajopt.certify.report import BETWEEN
 from trajopt.motion.solution import Solution as Motion
 from trajopt.robot import JointLimits
 from trajopt.solving.extraction import extract
 from trajopt.solving.solving import prepare
 from trajopt.solving.warm_start import warm_start
-from trajopt.terms import AccelerationLimits, JerkCost, JerkLimits
+from trajopt.terms import AccelerationLimits, JerkCost, JerkLimits, TorqueRateCost, TorqueRateLimits
 from trajopt.transcription import transcribe
 
 # m, m/s^3, m/s^2, m/s of the closed forms.
@@ -24,6 +26,11 @@ WAY, JERK, ACCELERATION, SPEED = 1.0, 10.0, 2.0, 0.8
 # s; that of most arms' interfaces.
 TICK = 1e-3
 ROUNDING = 1e-6
+# Limits at ticks may be exceeded by what the solver leaves, those of speeds and torques by what the check
+# allows between points. The check samples other times than ticks.
+AT_TICKS, SHARE_BETWEEN = 1e-4, 2e-2
+# N m/s; G1's squat without a limit takes 115.
+SLOW = 80.0
 
 
 def slider(**limits: float) -> Robot:
@@ -101,18 +108,48 @@ def transfer(robot: str) -> Solution:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", ["panda", "xarm7"])
-def test_an_arm_keeps_its_limits_of_acceleration_and_jerk_at_every_tick(name):
+@pytest.mark.parametrize("name", ["panda", "xarm7", "ur5"])
+def test_a_table_at_1_khz_keeps_the_limits_of_an_arm(name, tmp_path):
+    """By its own columns, and by differences of those below them."""
     solution, robot = transfer(name), trajopt.robot(name)
     assert solution.converged, solution.statistics.advice
     assert trajopt.check(solution).within()
-    sampled = solution.sample(times=np.arange(0.0, solution.t[-1], TICK))
-    assert (np.abs(sampled.a) <= robot.joint_limit("acceleration") * (1 + 1e-4)).all()
-    assert (np.abs(np.diff(sampled.a, axis=0)) <= TICK * robot.joint_limit("jerk") * (1 + 1e-4)).all()
-    assert np.abs(solution.a[[0, -1]]).max() < ROUNDING
-    used = np.abs(sampled.a) / robot.joint_limit("acceleration")
-    jerks = np.abs(np.diff(sampled.a, axis=0)) / (TICK * robot.joint_limit("jerk"))
-    assert max(used.max(), jerks.max()) > 0.9  # a limit binds
+    with solution.sample(rate=1 / TICK).save(tmp_path / "motion.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    limits = {
+        "v": robot.velocity_limit,
+        "tau": robot.torque_limit,
+        "a": robot.joint_limit("acceleration"),
+        "jerk": robot.joint_limit("jerk"),
+        "torque_rate": robot.joint_limit("torque_rate"),
+    }
+    names, used = list(robot.model.names)[1:], {}
+
+    def column(kind: str) -> np.ndarray:
+        return np.array([[float(row[f"{kind}/{joint}"]) for joint in names] for row in rows])
+
+    steps = np.diff([float(row["t"]) for row in rows])[:, None]
+    most = dict.fromkeys(limits, 1 + AT_TICKS) | dict.fromkeys(("v", "tau"), 1 + BETWEEN)
+    for kind, limit in limits.items():
+        used[kind] = float((np.abs(column(kind)) / limit).max())
+        assert used[kind] <= most[kind], kind
+    for kind, below in {"v": "q", "a": "v", "jerk": "a", "torque_rate": "tau"}.items():
+        differences = np.diff(column(below), axis=0) / steps
+        assert (np.abs(differences[:-1]) <= limits[kind] * most[kind]).all(), kind
+    assert np.abs(column("a")[[0, -1]]).max() < ROUNDING
+    assert max(used["a"], used["jerk"], used["torque_rate"]) > 0.9  # a limit binds
+    report = trajopt.check(solution)
+    for kind, short in (("acceleration", "a"), ("jerk", "jerk"), ("torque_rate", "torque_rate")):
+        assert (getattr(report, f"{kind}_use") or 0.0) == pytest.approx(used[short], rel=SHARE_BETWEEN)
+
+
+def test_a_check_states_the_accelerations_of_a_plan_whose_input_is_the_torque():
+    report = trajopt.check(trajopt.solve(trajopt.load("arm-reach", robot="panda")))
+    assert report.within()
+    assert report.acceleration_use > 0.0
+    assert report.jerk_use is None
+    assert report.torque_rate_use is None
+    assert "largest acceleration" in report.table()
 
 
 @pytest.mark.long
@@ -154,7 +191,7 @@ def test_a_file_keeps_the_motion(tmp_path):
 
 @lru_cache
 def squat() -> Solution:
-    return trajopt.solve(with_jerks(trajopt.load("biped-squat", robot="g1")))
+    return trajopt.solve(trajopt.load("biped-squat", robot="g1", actuation="jerk"))
 
 
 def jumps(solution: Solution, name: str) -> float:
@@ -163,11 +200,6 @@ def jumps(solution: Solution, name: str) -> float:
     ends = solution.polynomials.at(before, np.ones(len(before)))
     starts = solution.polynomials.at(before + 1, np.zeros(len(before)))
     return float(np.abs(getattr(ends, name) - getattr(starts, name)).max())
-
-
-def with_jerks(problem: Problem) -> Problem:
-    jerks = JerkCost(weight=1e-4)
-    return replace(problem, actuation="jerk", terms=(*problem.terms, jerks), default_transcription="radau:3")
 
 
 @pytest.mark.long
@@ -182,8 +214,33 @@ def test_forces_of_contacts_are_continuous_within_phases():
 
 
 @pytest.mark.slow
+def test_torque_rates_on_feet_are_limited_and_reduced_by_a_cost():
+    problem = trajopt.load("biped-squat", robot="g1", actuation="jerk")
+    limited, calm = (
+        trajopt.solve(replace(problem, terms=(*problem.terms, term)))
+        for term in (
+            TorqueRateLimits(limit=np.full(problem.robot.nv, SLOW)),
+            TorqueRateCost(weight=10.0),
+        )
+    )
+    assert limited.converged
+    assert calm.converged
+    assert trajopt.check(limited).within()
+    assert fastest_torque(squat()) > SLOW
+    assert fastest_torque(limited) <= SLOW
+    assert fastest_torque(calm) < 0.5 * fastest_torque(squat())
+
+
+def fastest_torque(solution: Solution) -> float:
+    """Largest rate of a torque, by differences at 1 kHz, N m/s."""
+    return float(np.abs(np.diff(solution.sample(rate=1 / TICK).tau, axis=0)[:-1]).max() / TICK)
+
+
+@pytest.mark.slow
 def test_a_trot_repeats_its_accelerations():
-    solution = trajopt.solve(with_jerks(trajopt.load("quadruped-trot", robot="go2")))
+    trot = trajopt.load("quadruped-trot", robot="go2")
+    smooth = (*trot.terms, JerkCost(weight=1e-4))
+    solution = trajopt.solve(replace(trot, actuation="jerk", terms=smooth, default_transcription="radau:3"))
     assert solution.converged, solution.statistics.advice
     report = trajopt.check(solution)
     assert report.within()
@@ -198,7 +255,7 @@ def test_a_trot_repeats_its_accelerations():
 @pytest.mark.slow
 @pytest.mark.parametrize("robot", ["go2", "solo12"])
 def test_a_leap_lifts_off_and_lands_without_a_jump_of_the_acceleration(robot):
-    solution = trajopt.solve(with_jerks(trajopt.load("quadruped-jump-forward", robot=robot)))
+    solution = trajopt.solve(trajopt.load("quadruped-jump-forward", robot=robot, actuation="jerk"))
     assert solution.converged, solution.statistics.advice
     assert trajopt.check(solution).within()
     assert jumps(solution, "a") < 1e-2
@@ -214,6 +271,16 @@ test_what_jerks_do_not_model_is_refused_in_one_line = refused_calls(
     (lambda: trajopt.robot("ur5").with_joint_limits([JointLimits(joint="elbow", jerk=1.0)]), "elbow"),
     (lambda: JointLimits(joint="elbow_joint", jerk=0.0), "jerk"),
     (lambda: JerkLimits(limit=[-1.0]), "limit"),
+    (
+        lambda: AccelerationLimits(limit=np.zeros(6)),
+        "limit of acceleration_limits holds 0; allowed: numbers > 0",
+    ),
+    (lambda: replace(REACH, actuation="jerk", terms=(TorqueRateLimits(),)), "no limit of torque rate"),
+    (
+        lambda: prepare(replace(REACH, terms=(*REACH.terms, TorqueRateLimits(limit=np.ones(6))))),
+        "torque_rate_limits in phase 'reach': .* with actuation 'jerk'",
+    ),
+    (lambda: replace(JUMP, actuation="jerk", initial_v=np.ones(18)), "begins on contacts in motion"),
     (lambda: replace(REACH, actuation="jerk", terms=(*REACH.terms, JerkLimits())), "no limit of jerk"),
     (
         lambda: prepare(replace(REACH, actuation="jerk", terms=(*REACH.terms, JerkLimits(limit=[1.0])))),

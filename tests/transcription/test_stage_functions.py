@@ -28,7 +28,8 @@ from tests.support.processes import LIMIT, environment
 from trajopt import Problem, Robot, _engine, terms
 from trajopt.cache import CACHE_VARIABLE
 from trajopt.dynamics import Coordinates
-from trajopt.robot import Units
+from trajopt.robot import LinkWrench, Units
+from trajopt.robot.link_wrench import wrench_force
 from trajopt.solving.solving import prepare
 from trajopt.transcription import Derivatives, transcribe
 from trajopt.transcription.compilation import compile_points, entry_key
@@ -75,24 +76,33 @@ def case(name: str) -> tuple[Robot, tuple[str, ...]]:
         "hopper": lambda: (hopper(), (FOOT,)),
         "turned": lambda: (turned_hopper(), (FOOT,)),
         "arm": lambda: (one_joint_arm(gravity=True), ()),
-    }[name]()
+    }[name.removesuffix(" in wind")]()
 
 
-CASES = ("solo12-stance", "solo12-flight", "ur5", "planar-stance", "sole", "hopper", "arm")
-FREE_FLYING = ("solo12-stance", "solo12-flight", "sole", "hopper")
+FREE_FLYING = ("solo12-stance", "solo12-flight", "sole", "hopper", "solo12-stance in wind")
+CASES = (*FREE_FLYING, "ur5", "planar-stance", "arm", "ur5 in wind")
+
+
+def wind(name: str) -> tuple[LinkWrench, ...]:
+    """Two wrenches of a case in wind, off the origin of a frame of the last link."""
+    if not name.endswith(" in wind"):
+        return ()
+    frame = case(name)[0].model.frames[-1].name
+    given = {"frame": frame, "force": (3.0, -2.0, 5.0), "torque": (0.4, 0.5, -0.6)}
+    return LinkWrench(**given, point=(0.1, -0.2, 0.3)), LinkWrench(frame=frame, force=(0.0, 1.0, 0.0))
 
 
 @lru_cache
 def built(name: str) -> tuple[PointFunction, np.ndarray, Derivatives]:
     robot, contacts = case(name)
     all_terms = (*TERMS, terms.SoleLimits(friction=0.7)) if name == "sole" else TERMS
-    point, parameters = point_of(robot, contacts, all_terms)
+    point, parameters = point_of(robot, contacts, all_terms, given=wind(name))
     return point, parameters, Derivatives(point)
 
 
 def composed(point: PointFunction, z: ca.SX, p: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Cost and rows with all layers put into one graph."""
-    o = z
+    o = point.robot_inputs(z, p)
     for layer in point.layers:
         o = layer(o)
     return point.terms(z, o if point.layers else ca.SX(0, 1), p)
@@ -140,8 +150,8 @@ def test_second_derivatives_equal_those_of_the_composed_graph(name):
 @pytest.mark.parametrize("name", FREE_FLYING)
 def test_base_axes_give_the_values_of_world_axes(name):
     robot, contacts = case(name)
-    point, p = point_of(robot, contacts, TERMS)
-    plain, plain_p = point_of(robot, contacts, TERMS, PlainContext)
+    point, p = point_of(robot, contacts, TERMS, given=wind(name))
+    plain, plain_p = point_of(robot, contacts, TERMS, PlainContext, given=wind(name))
     assert (len(point.layers), len(plain.layers)) == (4, 2)
     assert_allclose(p, plain_p)
     first, second = Derivatives(point).value, Derivatives(plain).value
@@ -173,10 +183,13 @@ def jacobian(robot: Robot, name: str, q: np.ndarray) -> np.ndarray:
     return pin.computeFrameJacobian(robot.model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)[list(contact.rows)]
 
 
-@pytest.mark.parametrize("name", ["solo12-stance", "solo12-flight", "planar-stance", "sole", "turned"])
+STANDING = ("solo12-stance", "solo12-flight", "planar-stance", "sole", "turned")
+
+
+@pytest.mark.parametrize("name", [*STANDING, "solo12-stance in wind", "planar-stance in wind"])
 def test_base_rows_equal_numeric_dynamics_under_the_contact_wrenches(name):
     robot, contacts = case(name)
-    point, p = point_of(robot, contacts, ())
+    point, p = point_of(robot, contacts, (), given=wind(name))
     value = Derivatives(point).value
     for seed in SEEDS:
         at = random_point(robot, point, np.random.default_rng(seed))
@@ -184,6 +197,7 @@ def test_base_rows_equal_numeric_dynamics_under_the_contact_wrenches(name):
         expected = pin.rnea(robot.model, robot.model.createData(), q, v, a)
         for contact, wrench in zip(contacts, wrenches, strict=True):
             expected = expected - jacobian(robot, contact, q).T @ wrench
+        expected = expected - wrench_force(robot.model, wind(name), 0.0, q)
         n = robot.n_unactuated
         assert_allclose(np.array(value(at, p)[1]).ravel()[:n], expected[:n], **SAME)
 

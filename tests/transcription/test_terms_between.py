@@ -185,11 +185,24 @@ def along(context: Context) -> ca.SX:
     return ca.vertcat(expression, context.rate(expression))
 
 
-@pytest.mark.parametrize("name", ["ur5-reach", "solo12-jump"])
-def test_the_rate_of_an_expression_is_its_slope_along_the_motion(name):
+def along_forces(context: Context) -> ca.SX:
+    wrenches = [wrench * wrench[0] for wrench in context.wrenches.values()]
+    expression = ca.vertcat(of_frame(context), context.a[:6], context.torque[0] ** 2, *wrenches)
+    return ca.vertcat(expression, context.rate(expression))
+
+
+@pytest.mark.parametrize(
+    ("name", "actuation", "made"),
+    [
+        (name, *case)
+        for name in ("ur5-reach", "solo12-jump")
+        for case in (("torque", along), ("jerk", along_forces))
+    ],
+)
+def test_the_rate_of_an_expression_is_its_slope_along_the_motion(name, actuation, made):
     problem = trajopt.load(name)
-    added = replace(problem, terms=(*problem.terms, Own(made=along)))
-    prepared = prepare(added, transcription="legendre:3", intervals=6)
+    added = replace(problem, terms=(*problem.terms, Own(made=made)), actuation=actuation)
+    prepared = prepare(added, transcription="radau:3", intervals=6)
     t, noise = prepared.transcription, 0.05 * np.random.default_rng(0).normal(size=len(prepared.guess))
     for node, form in enumerate(t.layout.forms):
         noise[t.layout.node(node).start + form.rotations] = 0.0  # quaternions have the length 1

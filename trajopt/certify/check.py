@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pinocchio as pin
@@ -31,7 +31,8 @@ from trajopt.motion.quantities import MotionQuantities
 from trajopt.motion.samples import largest, largest_known
 from trajopt.motion.solution import Solution
 from trajopt.motion.statistics import TermExcess
-from trajopt.motion.traces import Occurrence, Trace, Traces, names_of_inputs
+from trajopt.motion.traces import Occurrence, Trace, Traces, names_of_inputs, names_of_rows
+from trajopt.robot.actuators.joint_limits import HigherLimit, limits_by_row
 
 # Smallest scale of angular momentum, as a fraction of m l sqrt(g l) for a robot of mass m and reach l.
 QUIET_MOMENTUM = 1e-2
@@ -62,6 +63,8 @@ HELD = (
 WHOLE_BODY = ("base_residual", "actuated_residual", "local_position", "local_joints")
 # A torque turns where it reverses by more than this fraction of its limit.
 LEAST_TURN = 0.01
+# Fractions of an interval at which accelerations, jerks and rates of torques are compared with limits.
+WITHIN = np.linspace(0.0, 1.0, 9)
 # Figures that grow along a phase: a finer mesh in the whole phase reduces them.
 DRIFTS = ("foot_drift", "stance_drift", "foot_turn")
 # Figures that a finer mesh does not reduce.
@@ -204,7 +207,7 @@ def _report(
     worst: dict[str, tuple[float, Occurrence] | None],
     phases: tuple[PhaseReport, ...],
 ) -> CheckReport:
-    worst |= _smoothness(motion.solution)
+    worst |= _smoothness(motion.solution) | _joint_use(motion.solution)
     stated = motion.solution.statistics.terms_between
     term = max(stated, key=lambda entry: entry.excess, default=None)
     place = None if term is None else Occurrence(time=term.time, phase=term.phase, name=term.term)
@@ -250,6 +253,32 @@ def _smoothness(plan: Solution) -> dict[str, tuple[float, Occurrence] | None]:
             turns, direction, extreme = turns + 1, -direction, share
     sums = float(changes[:, worst].sum())
     return {"torque_variation": (sums, place), "torque_reversals": (float(turns), place)}
+
+
+def _joint_use(plan: Solution) -> dict[str, tuple[float, Occurrence] | None]:
+    """Return largest accelerations, and of jerk inputs jerks and torque rates, over the limits of joints."""
+    used: dict[str, tuple[float, Occurrence] | None] = {f"{kind}_use": None for kind in get_args(HigherLimit)}
+    numbers, fractions = (
+        np.repeat(np.arange(plan.n_intervals), len(WITHIN)),
+        np.tile(WITHIN, plan.n_intervals),
+    )
+    if not plan.description.joint_limits:
+        return used
+    jerk, torque_rate = plan.polynomials.rates(numbers, fractions)
+    values: dict[HigherLimit, np.ndarray] = {"acceleration": plan.polynomials.at(numbers, fractions).a}
+    if plan.order == 3:
+        values |= {"jerk": jerk, "torque_rate": plan.actuation.force(torque_rate)}
+    for kind, value in values.items():
+        shares = np.abs(value) / limits_by_row(plan.model, plan.description.joint_limits, kind)
+        row, column = np.unravel_index(int(np.argmax(shares)), shares.shape)
+        begin, end = plan.interval_t[numbers[row]]
+        place = Occurrence(
+            time=float(begin + fractions[row] * (end - begin)),
+            phase=plan.phase_names[int(plan.phase[plan.intervals[numbers[row]].start])],
+            name=names_of_rows(plan)[column],
+        )
+        used[f"{kind}_use"] = (float(shares[row, column]), place) if shares.any() else None
+    return used
 
 
 def _notes_of_terms(stated: Sequence[TermExcess]) -> Iterator[str]:
@@ -325,7 +354,7 @@ def _is_stable(error: OpenLoopError, local: tuple[float, float]) -> bool:
 
 
 def flight_errors(motion: MotionQuantities, phase: range) -> dict[str, float | None]:
-    """Return the ``FLIGHT`` of free motion in ``phase``; None with contacts, thrusters or a fixed base.
+    """Return the ``FLIGHT`` of free motion in ``phase``; None with contacts, other forces or a fixed base.
 
     Ballistic: max |c - c_0 - c'_0 t - g t^2 / 2| over the phase's max |c - c_0|.
     Momentum: max |h - h_0| over max(|h|, ``QUIET_MOMENTUM`` m l sqrt(g l)), with h the angular momentum about
@@ -334,7 +363,8 @@ def flight_errors(motion: MotionQuantities, phase: range) -> dict[str, float | N
     """
     solution, base = motion.solution, motion.base
     samples = slice(phase.start, phase.stop)
-    if base == "fixed" or solution.description.thrusters or solution.active[samples].any():
+    pushed = solution.description.thrusters or solution.description.wrenches
+    if base == "fixed" or pushed or solution.active[samples].any():
         return dict.fromkeys(FLIGHT)
     t = solution.t[samples] - solution.t[phase.start]
     com, velocity, momentum, mass = _centroidal(solution, phase)

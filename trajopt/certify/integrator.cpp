@@ -17,6 +17,24 @@ struct Sliding {
   double friction, slip;
 };
 
+// A wrench at a point of a frame, in axes of the world: linear between fractions of the integration, then constant.
+struct Load {
+  int frame;
+  Eigen::Vector3d point;
+  Vector fractions;
+  Matrix wrenches;
+
+  Twist at(double time) const {
+    const double* first = fractions.data();
+    const Eigen::Index after = std::upper_bound(first, first + fractions.size(), time) - first;
+    const Eigen::Index before = std::max<Eigen::Index>(after - 1, 0);
+    Twist wrench = wrenches.row(before);
+    if (after > 0 && after < fractions.size())
+      wrench += (time - first[before]) / (first[after] - first[before]) * (wrenches.row(after) - wrenches.row(before)).transpose();
+    return wrench;
+  }
+};
+
 // An integration ends early: too many evaluations, no finite state, or a mass matrix that is not positive definite.
 struct Diverged {};
 
@@ -70,6 +88,14 @@ class Dynamics {
   // Contact `number`, a point, is the centre of a ball that rolls, at `lever` from where it touches: see contact_set.py.
   void roll(int number, const Numbers& lever) {
     rolling_[held_point(number)] = read(lever, 3, "lever");
+  }
+
+  // Wrench `number` of later integrations: see Load; values (n, 6) at n fractions.
+  void load(int number, int frame, const Numbers& point, const Numbers& fractions, const Table& wrenches) {
+    const auto count = static_cast<Eigen::Index>(fractions.size());
+    if (count == 0 || static_cast<Eigen::Index>(wrenches.shape(0)) != count || wrenches.shape(1) != 6)
+      throw std::invalid_argument("wrenches have a wrong shape");
+    loads_[number] = {model_.frame(frame), read(point, 3, "point"), read(fractions, count, "fractions"), read(wrenches)};
   }
 
   // Accelerations (n, nv) at n states; NaN where the mass matrix is not positive definite.
@@ -220,6 +246,15 @@ class Dynamics {
     const Vector moved = model_.integrate(start_, delta);
     Vector force = Vector::Zero(model_.nv());
     for (Eigen::Index k = powers_.cols(); k-- > 0;) force = force * time + powers_.col(k);
+    if (!loads_.empty()) model_.place(moved);
+    for (const auto& [number, load] : loads_) {
+      Eigen::Matrix3d rotation;
+      Eigen::Vector3d position;
+      model_.frame_placement(load.frame, rotation, position);
+      Twist wrench = load.at(time);
+      wrench.tail<3>() += (rotation * load.point).cross(wrench.head<3>());
+      force += model_.frame_jacobian(load.frame).transpose() * wrench;
+    }
     Vector result(2 * model_.nv());
     result.tail(model_.nv()) = acceleration(moved, velocity, force);
     if (additive_) {  // q + delta
@@ -284,6 +319,7 @@ class Dynamics {
   std::vector<int> frames_, dimensions_, chosen_, redundant_;
   std::map<std::size_t, Sliding> sliding_;
   std::map<std::size_t, Eigen::Vector3d> rolling_;  // levers
+  std::map<int, Load> loads_;
   Eigen::Index rows_ = 0;
   double arm_;
   bool additive_ = true;
@@ -317,6 +353,7 @@ NB_MODULE(_numeric, module) {
       .def_prop_ro("redundant", &Dynamics::redundant)
       .def("slide", &Dynamics::slide, "number"_a, "normal"_a, "friction"_a, "slip"_a)
       .def("roll", &Dynamics::roll, "number"_a, "lever"_a)
+      .def("load", &Dynamics::load, "number"_a, "frame"_a, "point"_a, "fractions"_a, "wrenches"_a)
       .def("accelerations", &Dynamics::accelerations, "q"_a, "v"_a, "force"_a)
       .def("integrate", &Dynamics::integrate, "method"_a, "q"_a, "v"_a, "coefficients"_a, "actuation"_a, "duration"_a,
            "relative"_a, "absolute"_a, "evaluations"_a);

@@ -134,6 +134,9 @@ def integrate_interval(
     if compiled is not None and not (motion.moved_by_rates or plan.description.joint_forces):
         absolute = ABSOLUTE_SHARE * relative_error
         actuation, duration = plan.actuation.matrix, end - start
+        for index, wrench in enumerate(plan.description.wrenches):
+            fractions, frame = (wrench.times - start) / duration, model.getFrameId(wrench.frame)
+            compiled.load(index, frame, wrench.point, fractions, np.hstack([wrench.force, wrench.torque]))
         finite, reached = compiled.integrate(
             METHOD, q, v, coefficients, actuation, duration, relative_error, absolute, MAX_EVALUATIONS
         )
@@ -148,7 +151,8 @@ def integrate_interval(
     def dynamic(fraction: float, state: np.ndarray) -> np.ndarray:
         delta, velocity = state[:nv], state[nv:]
         moved = pin.integrate(model, q, delta)
-        force = plan.actuation.force(fraction**powers @ coefficients) + plan.joint_force(moved, velocity)
+        force = plan.actuation.force(fraction**powers @ coefficients)
+        force = force + plan.known_force(start + fraction * (end - start), moved, velocity)
         acceleration = dynamics.acceleration(moved, velocity, force)
         return (end - start) * np.concatenate([coordinate_rate(delta, velocity), acceleration])
 

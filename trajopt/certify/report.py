@@ -137,6 +137,8 @@ class CheckReport:
             largest, and how often that torque turns by more than 1 % of its limit; see ``chatter``.
         drive_torque_excess: Largest |tau_m| / torque_limit - 1 of the drives, with joint friction.
         drive_voltage_excess: Largest |tau_m / stall_torque + omega_m / no_load_speed| - 1.
+        acceleration_use, jerk_use, torque_rate_use: Largest |x| / limit of joints that have one, the last two
+            where jerks are the input. Limits that are terms of the problem are judged as ``term_excess``.
         position_excess: Largest excess over a limit, over the joint's range; negative is reserve. This and
             velocity_excess are at all samples.
         following_error: Largest deviation of a mimic joint, m or rad, at all times.
@@ -207,6 +209,9 @@ class CheckReport:
     position_excess_between: float | None = figure(
         "position beyond its limit between samples", "range", "between"
     )
+    acceleration_use: float | None = figure("largest acceleration", "limit", why="not judged")
+    jerk_use: float | None = figure("largest jerk", "limit", why="not judged")
+    torque_rate_use: float | None = figure("largest rate of torque", "limit", why="not judged")
     following_error: float | None = figure("joints from where they follow others", "m, rad", "residual")
     penetration: float | None = figure("depth below the terrain", "m", "penetration")
     link_depth: float | None = figure("depth of links in the ground", "m", "bodies")

@@ -32,6 +32,7 @@ from trajopt.motion.output import check_apart, check_output, check_solution_outp
 if TYPE_CHECKING:
     from trajopt.control.mpc.replanning import ReplanningController
     from trajopt.motion.solution import Solution
+    from trajopt.robot.link_wrench import LinkWrench
     from trajopt.simulation.settings import Controller
     from trajopt.simulation.simulate import Simulation
 
@@ -68,6 +69,12 @@ class ControllerName(click.Choice[str]):
     "--ground-offset", "FRAME=M", "Ground under a contact is higher by this, m. Repeatable.", multiple=True
 )
 @default_option("--push", 0.0, "N", "Force on the base to its left, halfway, N.")
+@value_option(
+    "--wrench",
+    "FRAME:FX,FY,FZ[,TX,TY,TZ][:START,END]",
+    "Force, N, and torque, N m, on a link in world axes, which the plan does not know. Repeatable.",
+    multiple=True,
+)
 @click.option(
     "--rolling/--no-rolling", default=None, help="Feet with a radius roll, or do not.  [default: as planned]"
 )
@@ -92,6 +99,7 @@ def simulate_command(
     settings["ground_offsets"] = {
         frame: finite_number(f"--ground-offset for '{frame}'", text, "m") for frame, text in offsets.items()
     }
+    settings["wrenches"] = [_wrench(text) for text in settings.pop("wrench")]
     motion, page = _checked_outputs(output, html)
     plan = load_plan(file)
     if settings["controller"] == REPLANNING:
@@ -102,6 +110,23 @@ def simulate_command(
             settings["controller"] = _own_controller(own, plan)
         simulated = simulate(plan, **settings)
     return _report_simulation(plan, simulated, motion, page, as_json)
+
+
+def _wrench(text: str) -> LinkWrench:
+    """The wrench of one --wrench, zero outside its window. Raises `InputError`."""
+    from trajopt.robot.link_wrench import LinkWrench
+
+    frame, *parts = text.split(":")
+    numbers = [
+        [finite_number(f"a number of --wrench '{text}'", n) for n in part.split(",")] for part in parts
+    ]
+    window = numbers[1] if len(numbers) == 2 else [0.0, 1.0]
+    if [len(part) for part in numbers] not in ([3], [6], [3, 2], [6, 2]) or not 0 <= window[0] < window[1]:
+        allowed = "allowed: FRAME:FX,FY,FZ[,TX,TY,TZ][:START,END], N, N m, s, 0 <= START < END"
+        raise InputError(f"--wrench is '{text}'", allowed)
+    acting, scales = [*numbers[0], 0.0, 0.0, 0.0][:6], (0, 1, 1, 0) if len(numbers) == 2 else (1,)
+    force, torque = ([[scale * n for n in part] for scale in scales] for part in (acting[:3], acting[3:]))
+    return LinkWrench(frame=frame, force=force, torque=torque, times=sorted(2 * window)[: len(scales)])
 
 
 def _own_controller(file: Path, plan: Solution) -> object:

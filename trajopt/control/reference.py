@@ -170,7 +170,7 @@ def _at_rest(plan: Solution, reference: ReferenceTrajectory) -> tuple[np.ndarray
     """
     model, q, actuation = plan.carrying_model(int(plan.phase[-1])), plan.q[-1], plan.actuation
     gravity = pin.computeGeneralizedGravity(model, model.createData(), q)
-    gravity = gravity - plan.joint_force(q, np.zeros(model.nv))
+    gravity = gravity - plan.known_force(plan.t[-1], q, np.zeros(model.nv))
     sizes = [6 if contact.is_sole else 3 for contact in plan.description.contacts]
     picked = [(i, size) for i, size in enumerate(sizes) if plan.active[-1, i]]
     levers = np.zeros((len(sizes), 3))

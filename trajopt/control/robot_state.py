@@ -9,6 +9,7 @@ import pinocchio as pin
 from trajopt.errors import InputError
 from trajopt.robot.actuators.joint_force import JointForce, joint_force
 from trajopt.robot.contact import require_frame
+from trajopt.robot.link_wrench import LinkWrench, wrench_force
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,12 +30,14 @@ class RobotState:
     """Quantities of a model at a state (q, v), recomputed by `update`.
 
     ``mass`` (nv, nv) and ``nonlinear`` (nv,) are M and h of M a + h = S' tau + J' f, with the forces of
-    springs and friction at joints in h (Featherstone, Rigid Body Dynamics Algorithms, 2008, sec. 9.2). Frames
-    and the centre of mass are computed on demand.
+    springs and friction at joints and of known wrenches in h (Featherstone, Rigid Body Dynamics Algorithms,
+    2008, sec. 9.2). Frames and the centre of mass are computed on demand.
     """
 
-    def __init__(self, model: pin.Model, joint_forces: Sequence[JointForce] = ()) -> None:
-        self.joint_forces = joint_forces
+    def __init__(
+        self, model: pin.Model, joint_forces: Sequence[JointForce] = (), wrenches: Sequence[LinkWrench] = ()
+    ) -> None:
+        self.joint_forces, self.wrenches = joint_forces, wrenches
         self.model, self.data = model, model.createData()
         self.q, self.v = pin.neutral(model), np.zeros(model.nv)
         self.mass, self.nonlinear = np.zeros((model.nv, model.nv)), np.zeros(model.nv)
@@ -42,8 +45,8 @@ class RobotState:
         self._frames: dict[int | str, FrameState] = {}
         self._centre: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None = None
 
-    def update(self, q: np.ndarray, v: np.ndarray) -> None:
-        """Set the state (nq,), (nv,). Raises `InputError` for wrong shapes or values that are not finite."""
+    def update(self, q: np.ndarray, v: np.ndarray, t: float = 0.0) -> None:
+        """Set a state (nq,), (nv,) at ``t`` s. Raises `InputError` for wrong shapes or non-finite values."""
         model, data = self.model, self.data
         for name, given, size in (("q", q, model.nq), ("v", v, model.nv)):
             if np.shape(given) != (size,):
@@ -54,6 +57,7 @@ class RobotState:
         self.q, self.v = q, v
         self.mass = pin.crba(model, data, q).copy()
         self.nonlinear = pin.nonLinearEffects(model, data, q, v) - joint_force(model, self.joint_forces, q, v)
+        self.nonlinear -= wrench_force(model, self.wrenches, t, q)
         pin.computeJointJacobians(model, data, q)
         pin.forwardKinematics(model, data, q, v, self._rest)  # last: the calls above include gravity
         pin.updateFramePlacements(model, data)

@@ -128,7 +128,7 @@ class Tracker:
             )
         program = self._program(int(self.reference.source[k]))
         state = program.state
-        state.update(q, v)
+        state.update(q, v, self.reference.t[k])
         self.counts.ticks += 1
         self.request = TickRequest.none(len(frames))
         if np.abs(v).max() * self.units.time > TOO_FAST:
@@ -155,7 +155,8 @@ class Tracker:
 
     def _program(self, phase: int) -> TaskSpaceInverseDynamics:
         if phase not in self._programs:
-            state = RobotState(self._models[phase], self.reference.description.joint_forces)
+            about = self.reference.description
+            state = RobotState(self._models[phase], about.joint_forces, about.wrenches)
             self._programs[phase] = TaskSpaceInverseDynamics.of(
                 state, self.reference.actuation, self.units, damping=self.gains.contact, solver=self.solver
             )

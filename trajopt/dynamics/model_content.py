@@ -80,6 +80,11 @@ def frame_content(model: pin.Model, name: str, wrench_size: int = 0) -> tuple:
     return int(frame.parentJoint), *_placement(frame.placement), int(wrench_size)
 
 
+def load_content(joint: int, place: pin.SE3) -> tuple:
+    """Content of a frame at a place in a joint's axes, on which a force and a moment act, hashable."""
+    return joint, *_placement(place), 6
+
+
 def _joint_content(model: pin.Model, index: int) -> tuple:
     kind, axis = joint_kind(model, index), (0.0, 0.0, 0.0)
     if kind.endswith("Unaligned"):  # Pinocchio's bindings do not show the axis of every kind

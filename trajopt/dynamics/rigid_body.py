@@ -30,7 +30,9 @@ WRENCH_SIZES = (0, 3, 6)
 _CACHED_FUNCTIONS = 256
 
 
-def fused(model: pin.Model, frames: Sequence[str], wrench_kinds: Sequence[int]) -> Function:
+def fused(
+    model: pin.Model, frames: Sequence[str], wrench_kinds: Sequence[int], loads: tuple = ()
+) -> Function:
     """Inverse dynamics under wrenches and the motion of frames, sharing one forward pass.
 
     ``(q, v, a, w) -> (tau, rotation, position, velocity, acceleration)`` where
@@ -41,8 +43,10 @@ def fused(model: pin.Model, frames: Sequence[str], wrench_kinds: Sequence[int]) 
     - the other outputs have one column per frame: ``rotation`` (9, column-major) and ``position`` (3)
       in the world; ``velocity`` (6: linear, angular) and ``acceleration`` (6: classical linear,
       angular) in world-aligned axes at the frame's origin.
+
+    ``loads`` are further frames with force and moment, by `load_content`; they come last.
     """
-    return _fused(model_content(model), loaded_frames(model, frames, wrench_kinds))
+    return _fused(model_content(model), (*loaded_frames(model, frames, wrench_kinds), *loads))
 
 
 def loaded_frames(model: pin.Model, frames: Sequence[str], wrench_kinds: Sequence[int]) -> tuple:

@@ -10,6 +10,7 @@ import pinocchio as pin
 from trajopt.errors import InputError
 from trajopt.motion.description import PlanDescription
 from trajopt.motion.statistics import SolveStatistics
+from trajopt.robot.actuators.joint_limits import require_joint_limits
 from trajopt.robot.actuators.mimic import require_mimics
 
 _Record = TypeVar("_Record")
@@ -153,7 +154,10 @@ def _wrong_shape(
             thruster.column(model)
         for force in plan.joint_forces:
             force.entries(model)
+        for wrench in plan.wrenches:
+            wrench.place(model)
         require_mimics(plan.robot, model, plan.mimics)
+        require_joint_limits(model, plan.joint_limits)
     except InputError as error:
         return str(error)
     for key, limit, size in (

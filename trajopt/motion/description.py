@@ -15,8 +15,10 @@ from trajopt.errors import InputError
 from trajopt.robot.actuators.actuation import Thruster
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.actuators.joint_force import JointForce
+from trajopt.robot.actuators.joint_limits import JointLimits
 from trajopt.robot.actuators.mimic import MimicJoint
 from trajopt.robot.data import VisualSource
+from trajopt.robot.link_wrench import LinkWrench
 from trajopt.robot.payload import require_rigid
 from trajopt.schedule.moment import Target
 from trajopt.terrain.flat import FlatGround
@@ -148,11 +150,13 @@ class PlanDescription:
         thrusters: Thrusters; their forces are the last columns of the torques.
         joint_forces: Springs, damping and dry friction at joints; part of the dynamics.
         mimics: Joints that follow others.
+        joint_limits: Limits of accelerations, jerks and torque rates.
         terrain: None if unknown.
         surfaces, patches: For each phase, what active contacts touch or stand on, by contact frame; empty if
             all touch the terrain.
         goals: Targets of the problem.
         payloads: Carried bodies.
+        wrenches: Known wrenches on links over time; part of the dynamics.
         periodicity: None if the plan is not periodic.
         drives: (nu,) drives of the actuated rows, None for rows without one; empty without drives.
         bodies: Shapes of the robot's links; None if unknown.
@@ -176,11 +180,13 @@ class PlanDescription:
     thrusters: tuple[Thruster, ...] = ()
     joint_forces: tuple[JointForce, ...] = ()
     mimics: tuple[MimicJoint, ...] = ()
+    joint_limits: tuple[JointLimits, ...] = ()
     terrain: Terrain | None = None
     surfaces: tuple[Mapping[str, Surface], ...] = ()
     patches: tuple[Mapping[str, Patch], ...] = ()
     goals: tuple[Target, ...] = ()
     payloads: tuple[CarriedBody, ...] = ()
+    wrenches: tuple[LinkWrench, ...] = ()
     periodicity: PeriodicImage | None = None
     drives: tuple[Drive | None, ...] = ()
     bodies: RobotShapes | None = None

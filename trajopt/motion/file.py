@@ -39,7 +39,7 @@ LARGEST_FLOAT = sys.float_info.max
 # Entries of ``meta`` whose numbers are used without further checks.
 BOUNDED = (
     *("gravity", "contact_sizes", "contact_radius", "terrain", "surfaces", "patches", "goals", "payloads"),
-    *("periodicity", "bodies", "collision"),
+    *("periodicity", "bodies", "collision", "wrenches"),
 )
 # Number kinds of the members of a file.
 _KINDS = {float: "fiu", int: "iu", bool: "b"}

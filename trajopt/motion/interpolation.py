@@ -185,6 +185,19 @@ class InterpolatedMotion:
         back = np.argsort(np.concatenate(rows))
         return MotionSample(**{name: array[back] for name, array in joined(parts).items()})
 
+    def rates(self, numbers: np.ndarray, fractions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the jerks (k, nv) of local coordinates and torque rates (k, nu) of jerk inputs."""
+        widths = self.groups[0].highest.shape[2], self.groups[0].tau.shape[2]
+        found = [np.zeros((len(numbers), width)) for width in widths]
+        for group in self.groups:
+            members = np.flatnonzero(np.isin(numbers, group.numbers))
+            rows = np.searchsorted(group.numbers, numbers[members])
+            for values, coefficients in zip(found, (group.highest, group.tau), strict=True):
+                j = np.arange(1, coefficients.shape[1])
+                powers = j * fractions[members, None] ** (j - 1) / group.step[rows, None]
+                values[members] = _sum(powers, coefficients[rows, 1:])
+        return found[0], found[1]
+
 
 def _without_turns(model: pin.Model, apart: np.ndarray) -> np.ndarray:
     """Return differences (..., nv) without full turns of the angles that q stores as cosine and sine."""

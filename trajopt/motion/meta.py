@@ -24,8 +24,10 @@ from trajopt.motion.statistics import GradedStatistics, RoundStatistics, SolveSt
 from trajopt.robot.actuators.actuation import Thruster
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.actuators.joint_force import JointForce
+from trajopt.robot.actuators.joint_limits import JointLimits
 from trajopt.robot.actuators.mimic import MimicJoint
 from trajopt.robot.data import VisualSource
+from trajopt.robot.link_wrench import LinkWrench
 from trajopt.schedule.moment import Target
 from trajopt.terrain.patch import Patch
 from trajopt.terrain.surface import Surface
@@ -45,8 +47,9 @@ REQUIRED = (
 DESCRIBED = (
     *("problem", "parameters", "robot", "actuation", "dynamics", "gravity"),
     *("effort_limit", "velocity_limit", "actuated_rows", "thrusters", "joint_forces", "mimics"),
+    "joint_limits",
     *("contact_frames", "contact_names", "contact_kinds", "contact_sizes", "contact_radius", "friction"),
-    "contact_rolling",
+    *("contact_rolling", "wrenches"),
     *("terrain", "surfaces", "patches", "goals", "payloads", "periodicity", "drives", "bodies", "collision"),
     *("visual", "phase_names"),
 )
@@ -86,6 +89,8 @@ def description_of(meta: Mapping[str, Any], n_phases: int) -> PlanDescription:
         thrusters=tuple(_each(meta, "thrusters", Thruster.from_meta)),
         joint_forces=tuple(_each(meta, "joint_forces", JointForce.from_meta)),
         mimics=tuple(_each(meta, "mimics", MimicJoint.from_meta)),
+        wrenches=tuple(_each(meta, "wrenches", lambda entry: LinkWrench(**entry))),
+        joint_limits=tuple(_each(meta, "joint_limits", JointLimits.from_meta)),
         terrain=_optional(meta, "terrain", terrain_from_description),
         surfaces=_by_phase(meta, "surfaces", "surface", Surface.from_description),
         patches=_by_phase(meta, "patches", "patch", Patch.from_description),
@@ -181,11 +186,12 @@ def _described_options(plan: PlanDescription) -> _Json:
         options["contact_rolling"] = plan.rolling
     if plan.actuated_rows is not None:
         options["actuated_rows"] = plan.actuated_rows
-    for name in ("thrusters", "joint_forces", "mimics"):
+    for name in ("thrusters", "joint_forces", "mimics", "joint_limits"):
         if getattr(plan, name):
             options[name] = [entry.to_meta() for entry in getattr(plan, name)]
-    if plan.payloads:
-        options["payloads"] = [vars(body) for body in plan.payloads]
+    for name in ("payloads", "wrenches"):
+        if getattr(plan, name):
+            options[name] = [vars(entry) for entry in getattr(plan, name)]
     if plan.periodicity is not None:
         options["periodicity"] = vars(plan.periodicity)
     if plan.drives:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pinocchio as pin
@@ -18,6 +18,7 @@ from trajopt.pickling import picklable
 from trajopt.robot.actuators.actuation import Actuation
 from trajopt.robot.actuators.drive import Drive
 from trajopt.robot.actuators.joint_force import joint_force
+from trajopt.robot.link_wrench import wrench_force
 from trajopt.robot.natural_units import NaturalUnits
 from trajopt.robot.payload import loaded_model
 
@@ -166,9 +167,10 @@ class RobotMotion:
             self.model, self.actuated_rows, self.description.thrusters, self.description.mimics, unit
         )
 
-    def joint_force(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Return forces (..., nv) of joint springs, damping and dry friction at q (..., nq), v (..., nv)."""
-        return joint_force(self.model, self.description.joint_forces, q, v)
+    def known_force(self, t: Any, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Return forces (..., nv) of joint springs, damping, friction and known wrenches at t (...) s."""
+        own = joint_force(self.model, self.description.joint_forces, q, v)
+        return own + wrench_force(self.model, self.description.wrenches, t, q)
 
     @property
     def n_unactuated(self) -> int:

@@ -52,6 +52,8 @@ class SampledMotion(RobotMotion):
         axes as in Pinocchio (``a`` is the derivative of ``v``), or world axes, as derivatives of the base
         position, angular velocity and angular acceleration.
     tau: (n, nu) torques of the actuated rows, ``torque_names``, without joint friction.
+    jerk: (n, nv) rates of ``a``, NaN for joints of several degrees of freedom. torque_rate: (n, nu) rates of
+        ``tau``. Both are exported where jerks are the input.
     drive_torque: (n, nu) torques delivered by the drives: ``tau`` plus joint friction, which is known only
         if the robot ``has_drives``.
     angle: (n, m) angles, ``angle_names``, that q stores as cosine and sine; they count full turns.
@@ -64,6 +66,8 @@ class SampledMotion(RobotMotion):
     """
 
     success: bool
+    jerk: np.ndarray
+    torque_rate: np.ndarray
     drive_torque: np.ndarray
     angle: np.ndarray
     source: np.ndarray
@@ -79,12 +83,13 @@ class SampledMotion(RobotMotion):
     @property
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays of a file by name."""
-        return {name: getattr(self, name) for name in SAVED}
+        third = ("jerk", "torque_rate") if self.description.actuation == "jerk" else ()
+        return {name: getattr(self, name) for name in (*SAVED, *third)}
 
     @property
     def rows(self) -> dict[str, np.ndarray]:
         """Return all arrays with one row per time by name."""
-        return {**self.arrays, "source": self.source}
+        return {name: getattr(self, name) for name in (*SAVED, "jerk", "torque_rate", "source")}
 
     def at(self: _Motion, rows: np.ndarray) -> _Motion:
         """Return the motion at some of its times, by index (k,)."""
@@ -161,8 +166,9 @@ class SampledMotion(RobotMotion):
         """Return all values as columns (n,) by name.
 
         These are ``t`` s; ``phase`` by name; ``q/...``, ``v/...``, ``a/...``, ``angle/...``, ``tau/...`` and,
-        with drives, ``drive_torque/...`` by the names of their entries; for each contact ``active/FRAME``,
-        ``force/FRAME/x`` and, for a sole, ``moment/FRAME/x``; and ``extrapolated``.
+        with drives, ``drive_torque/...``, and where jerks are the input ``jerk/...`` and ``torque_rate/...``,
+        by the names of their entries; for each contact ``active/FRAME``, ``force/FRAME/x`` and, for a sole,
+        ``moment/FRAME/x``; and ``extrapolated``.
         """
         table = {"t": self.t, "phase": np.array(self.phase_names, dtype=object)[self.phase]}
         groups = {
@@ -174,6 +180,11 @@ class SampledMotion(RobotMotion):
             "drive_torque": (self.torque_names if self.has_drives else (), self.drive_torque),
             "active": (self.contact_frames, self.active),
         }
+        if self.description.actuation == "jerk":
+            joints = np.isfinite(self.jerk).all(axis=0)
+            known = tuple(name for name, joint in zip(self.velocity_names, joints, strict=True) if joint)
+            groups["jerk"] = known, self.jerk[:, joints]
+            groups["torque_rate"] = self.torque_names, self.torque_rate
         for group, (names, values) in groups.items():
             table |= {f"{group}/{name}": values[:, i] for i, name in enumerate(names)}
         for i, frame in enumerate(self.contact_frames):

@@ -31,8 +31,8 @@ class SampleQuantities(ContactPlaces):
     """Forces and contact motion at K samples.
 
     generalized_force: (K, nv) RNEA(q, v, a) - sum J^T f of the robot with its payload, minus the forces of
-    joint springs and friction. acceleration: (K, nc, 6) of the contact frames, classical, at the same points
-    and in the same axes as their velocity.
+    joint springs and friction and of known wrenches. acceleration: (K, nc, 6) of the contact frames,
+    classical, at the same points and in the same axes as their velocity.
     """
 
     generalized_force: np.ndarray
@@ -55,7 +55,7 @@ def sample_quantities(solution: Solution) -> SampleQuantities:
     ]
     force, moved = (np.concatenate(part) for part in zip(*parts, strict=True))
     return SampleQuantities(
-        generalized_force=force - solution.joint_force(solution.q, solution.v),
+        generalized_force=force - solution.known_force(solution.t, solution.q, solution.v),
         position=moved[..., 9:12],
         rotation=_rotations(moved),
         velocity=moved[..., 12:18],
@@ -130,9 +130,10 @@ def _rotation(model: pin.Model, joint: int, q: np.ndarray) -> np.ndarray:
 
 
 def warn_of_payloads(plans: Iterable[Solution], format: str) -> None:
-    """Warn of carried bodies that a format leaves out, though torques and forces include their weight."""
+    """Warn of carried bodies and wrenches that a format leaves out; torques and forces include them."""
     for plan in plans:
-        masses = ", ".join(f"{body.mass:g} kg on {body.frame}" for body in plan.description.payloads)
-        if masses:
-            text = f"{format} leaves out the payload: {masses}; torques and forces are those with it"
+        left_out = [f"payload: {body.mass:g} kg on {body.frame}" for body in plan.description.payloads]
+        left_out += [f"wrench on {wrench.frame}" for wrench in plan.description.wrenches]
+        if left_out:
+            text = f"{format} leaves out the {', '.join(left_out)}; torques and forces are those with it"
             warnings.warn(text, UserWarning, stacklevel=2)

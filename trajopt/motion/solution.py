@@ -231,12 +231,16 @@ class Solution(RobotMotion):
         state = self.polynomials.at(numbers, fractions)
         motion = in_convention(self.model, state, quaternion, base_velocity)
         first = np.array([rows.start for rows in self.intervals])[numbers]
+        jerk, torque_rate = self.polynomials.rates(numbers, fractions)
+        jerk[:, [joint.nv > 1 for joint in list(self.model.joints)[1:] for _ in range(joint.nv)]] = np.nan
         return SampledMotion(
             description=self.description,
             model=self.model,
             success=self.success,
             t=t,
             **vars(motion),
+            jerk=jerk,
+            torque_rate=torque_rate,
             drive_torque=drive_torque_values(self.drives, state.tau, self.actuation.rates(state.v)),
             angle=angles_of(self.model, self, t, state.q),
             active=self.active[first],

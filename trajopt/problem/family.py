@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from trajopt.arguments import checked
@@ -142,9 +142,10 @@ class Family:
             ``build`` sets only those that it derives.
         robot: name of the only or default robot.
         robots: names of the robots on which the family is tested, the default first.
+        variants: settings with which it is tested too, such as ``actuation=jerk``, and on which robots.
 
     Raises:
-        InputError: without a robot.
+        InputError: without a robot, and for settings that the family does not have.
     """
 
     name: str
@@ -154,6 +155,7 @@ class Family:
     build: Callable[..., Problem]
     robot: str = ""
     robots: tuple[str, ...] = ()
+    variants: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not (self.robot or self.robots):
@@ -163,6 +165,14 @@ class Family:
             object.__setattr__(self, "parameters", (named, *self.parameters))
         object.__setattr__(self, "robots", self.robots or (self.robot,))
         object.__setattr__(self, "robot", self.robot or self.robots[0])
+        for setting in self.variants:
+            name, _, value = setting.partition("=")
+            self.parameter(name).parse(value)
+
+    @property
+    def tested(self) -> dict[str, tuple[str, ...]]:
+        """Robots on which it is tested, by its name, followed by a colon and a setting if there is one."""
+        return {self.name: self.robots} | {f"{self.name}:{key}": on for key, on in self.variants.items()}
 
     @property
     def takes_robot(self) -> bool:

@@ -24,9 +24,11 @@ from trajopt.problem.validation import (
     require_payloads,
     require_phases,
     require_start,
+    require_wrenches,
 )
 from trajopt.robot.joint_checks import require_inertia
 from trajopt.robot.kinematics import contact_positions
+from trajopt.robot.link_wrench import LinkWrench
 from trajopt.robot.payload import Payload, loaded
 from trajopt.robot.robot import Robot
 from trajopt.robot.stance.minimal_coordinates import StanceMode
@@ -89,6 +91,7 @@ class Problem:
         periodicity: makes the final state the image of the start, which is then free.
         duration_bounds: bounds (lower, upper) in s on the total duration, if some phases are free.
         payloads: what the robot carries in phases, by the phase's name.
+        wrenches: known wrenches on links over time.
 
     Raises:
         InputError: for parts that are inconsistent.
@@ -111,6 +114,7 @@ class Problem:
     periodicity: Periodicity | None = None
     duration_bounds: tuple[float, float] | None = None
     payloads: Mapping[str, Payload] = field(default_factory=dict)
+    wrenches: tuple[LinkWrench, ...] = ()
 
     def __post_init__(self) -> None:
         robot, schedule = self.robot, self.schedule
@@ -152,6 +156,10 @@ class Problem:
                 landing_at_start(robot, schedule, self.periodicity)
         whole = () if self.dynamics is not None else schedule.names
         require_payloads(robot, schedule, self.payloads, [name for name in whole if name not in self.modes])
+        require_wrenches(robot, schedule, self.wrenches, self.periodicity)
+        if self.wrenches and (self.modes or self.dynamics is not None):
+            what = f"problem '{self.name}' has wrenches, and minimal coordinates or dynamics of its own"
+            raise InputError(what, "allowed: the whole robot's dynamics")
         if self.duration_bounds is not None:
             require_duration_bounds(self.name, schedule, self.duration_bounds)
         require_acting(robot, schedule, self.terms)

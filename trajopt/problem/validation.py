@@ -11,7 +11,9 @@ from trajopt.dynamics.base_joint import BASE_ROWS
 from trajopt.dynamics.manifold import Coordinates
 from trajopt.dynamics.virtual_base import LEAST_MARGIN, gimbal_margin
 from trajopt.errors import InputError, not_among, shown
+from trajopt.problem.periodicity import Periodicity
 from trajopt.robot.actuators.mimic import followed
+from trajopt.robot.link_wrench import LinkWrench
 from trajopt.robot.payload import Payload
 from trajopt.robot.robot import Robot
 from trajopt.robot.stance.minimal_coordinates import StanceMode
@@ -75,6 +77,9 @@ def require_actuation(
             else f"phase '{modes[0]}' has minimal coordinates"
         )
         raise InputError(f"{what}, and jerks are the input", "allowed: neither impacts nor modes")
+    if actuation == "jerk" and initial_v.any() and schedule.phases[0].contacts:
+        what = f"phase '{schedule.phases[0].name}' begins on contacts in motion, and jerks are the input"
+        raise InputError(what, "allowed: initial_v zero, as the accelerations at the start")
     if actuation != "velocity":
         return
     if initial_v.any():
@@ -174,6 +179,26 @@ def require_payloads(
                 f"a payload is carried in phase '{name}' in minimal coordinates or by a reduced model",
                 "allowed: the whole robot's dynamics",
             )
+
+
+def require_wrenches(
+    robot: Robot, schedule: Schedule, wrenches: Sequence[LinkWrench], periodicity: Periodicity | None
+) -> None:
+    """Raise `InputError` for a wrench on an unknown or fixed frame, or at times that are not known."""
+    free = [index for index, scale in enumerate(schedule.time_scales) if scale is not None]
+    known = sum(phase.duration for phase in schedule.phases[: free[0]]) if free else np.inf
+    for wrench in wrenches:
+        wrench.place(robot.model)
+        what, allowed = f"a wrench on '{wrench.frame}'", ""
+        if (np.diff(wrench.times) <= 0).any():
+            allowed = "times that ascend, in a plan; a jump is a short ramp"
+        elif len(wrench.times) > 1 and wrench.times[-1] > known:
+            phase, what = schedule.phases[free[0]].name, f"{what} varies until {wrench.times[-1]:g} s"
+            allowed = f"constant from {known:g} s on, when phase '{phase}' of free duration begins"
+        elif periodicity is not None and (len(wrench.times) > 1 or periodicity.mirror or periodicity.turn):
+            allowed = "constant ones in a periodic motion, without mirror and turn"
+        if allowed:
+            raise InputError(what, f"allowed: {allowed}")
 
 
 def require_duration_bounds(problem: str, schedule: Schedule, bounds: tuple[float, float]) -> None:

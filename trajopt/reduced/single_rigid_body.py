@@ -221,10 +221,9 @@ def body_problem(
     """
     if problem.modes:
         raise InputError(f"phases {', '.join(problem.modes)} have coordinates of their own", "allowed: none")
-    if problem.periodicity is not None or problem.payloads:
-        raise InputError(
-            f"problem '{problem.name}' is periodic or carries a payload", "allowed: a fixed start, no payload"
-        )
+    if problem.periodicity is not None or problem.payloads or problem.wrenches:
+        what = f"problem '{problem.name}' is periodic, or has payloads or wrenches"
+        raise InputError(what, "allowed: a fixed start, and neither of them")
     body, robot, plan = rigid_body(problem.robot), body_robot(problem.robot), footholds_of(problem)
     dynamics: list[PointConstraint] = []
     limits: list[Term] = []

@@ -28,6 +28,7 @@ from .legs import leg_joints as leg_joints
 from .legs import legs_only as legs_only
 from .legs import quadruped_legs as quadruped_legs
 from .legs import require_soles as require_soles
+from .link_wrench import LinkWrench as LinkWrench
 from .payload import Payload as Payload
 from .reading import read_urdf as read_urdf
 from .robot import Robot as Robot

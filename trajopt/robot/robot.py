@@ -69,7 +69,7 @@ class Robot:
         thrusters: thrusters on the base, whose forces are the last inputs; set with `with_thrusters`.
         joint_forces: springs, damping and dry friction of joints; set with `with_joint_forces`.
         mimics: mimic joints, which follow others; set with `with_mimics`.
-        joint_limits: limits of acceleration and jerk; set with `with_joint_limits`.
+        joint_limits: limits of acceleration, jerk and torque rate; set with `with_joint_limits`.
 
     Raises:
         InputError: for an unknown frame, a wrong shape, a number that is not finite, a reference outside the
@@ -259,12 +259,12 @@ class Robot:
 
     @checked
     def with_joint_limits(self, limits: Sequence[JointLimits]) -> Robot:
-        """Return this robot with limits of acceleration and jerk. Raises InputError for an unknown joint."""
+        """Return this robot with higher limits of joints. Raises InputError for an unknown joint."""
         require_joint_limits(self.model, limits)
         return replace(self, joint_limits=tuple(limits))
 
     def joint_limit(self, kind: HigherLimit) -> np.ndarray:
-        """Limits (nv,) of acceleration or jerk, rad/s^2 or rad/s^3 (m), inf where there is none."""
+        """Limits (nv,) of acceleration, jerk or torque rate, see `JointLimits`, inf where there is none."""
         return limits_by_row(self.model, self.joint_limits, kind)
 
     @checked

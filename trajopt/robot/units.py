@@ -25,8 +25,9 @@ class Units:
     motions are judged over the reach instead.
 
     ``position``, ``velocity``, ``acceleration`` are arrays (nv,) over the local coordinates (m or rad and
-    their derivatives), ``generalized_force`` (nv,) their forces (N or N m); ``force`` in N, ``torque`` in
-    N m, ``time`` in s; ``twist``, ``contact_acceleration`` and ``wrench`` (6,), linear part first.
+    their derivatives), ``generalized_force`` (nv,) their forces (N or N m), ``torque_rate`` (nv,) in N m/s;
+    ``force`` in N, ``torque`` in N m, ``time`` in s; ``twist``, ``contact_acceleration`` and ``wrench`` (6,),
+    linear part first.
     """
 
     def __init__(self, robot: Robot, part_of: Robot | None = None) -> None:
@@ -45,6 +46,7 @@ class Units:
         self.velocity = self.position / self.time
         self.acceleration = self.velocity / self.time
         self.jerk = self.acceleration / self.time
+        self.torque_rate = np.full(robot.nv, self.torque / self.time)
         self.unreachable_torque = UNREACHABLE * self.torque
         self.unreachable_velocity = UNREACHABLE / self.time
 

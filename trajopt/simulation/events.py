@@ -1,4 +1,4 @@
-"""Events of a simulation: payloads, grasps and friction change with the phase, and pushes act on the base.
+"""Events of a simulation: what changes with the phase, pushes on the base, and wrenches on links.
 
 Events of the user's own (`Event`) come last at each tick.
 """
@@ -30,7 +30,7 @@ class Events:
     Args:
         scene: the scene.
         timeline: ticks and their phases; the last phase goes on after the last tick.
-        settings: scales of masses, pushes, and events of the user.
+        settings: scales of masses, pushes, wrenches, and events of the user.
 
     Attributes:
         impulses: impulses on the base; others may be set at any time.
@@ -44,6 +44,8 @@ class Events:
         kind, model = scene.robot.base, scene.compiled
         self._own, self._pair_friction = tuple(settings.events), model.pair_friction.copy()
         self._base = None if kind == "fixed" else model.body(body_name(BASE_JOINT[kind])).id
+        wrenches = (*scene.robot.description.wrenches, *settings.wrenches)
+        self._wrenches = [(wrench, *wrench.place(scene.robot.model)) for wrench in wrenches]
         gravity = np.linalg.norm(model.opt.gravity)
         self._up = -model.opt.gravity / gravity if gravity > 0 else np.array([0.0, 0.0, 1.0])
 
@@ -51,13 +53,16 @@ class Events:
         """Apply the events of tick ``k``; ``anew`` also those that earlier ticks have applied."""
         phases = self._timeline.source
         now, before = (int(phases[min(tick, len(phases) - 1)]) for tick in (k, max(k - 1, 0)))
-        if self._own:
+        if self._own or self._wrenches:
             data.xfrc_applied[:] = 0.0
+        if self._own:
             self._scene.compiled.pair_friction[:] = self._pair_friction
         if self._own or anew or now != before:
             self.enter(now, data)
         if self._base is not None and (self._push or self.impulses):
             data.xfrc_applied[self._base, :3] = self._pushed(k, data)
+        if self._wrenches:
+            self._load(float(self._timeline.t[0]) + k * self._timeline.period, data)
         for event in self._own:
             event.apply(k * self._timeline.period, self._scene.compiled, data)
 
@@ -70,6 +75,15 @@ class Events:
             data.eq_active[model.equality(grasp.name).id] = phase in grasp.phases
         friction = np.maximum(scene.friction[phase], LEAST_FRICTION)
         model.pair_friction[scene.pairs, :2] = friction[:, None]
+
+    def _load(self, t: float, data: Any) -> None:
+        """Add the wrenches of time ``t``, s, at the centres of mass of their links."""
+        mujoco_package().mj_kinematics(self._scene.compiled, data)
+        for wrench, joint, place in self._wrenches:
+            body, (force, torque) = self._scene.compiled.body(body_name(joint)).id, np.split(wrench.at(t), 2)
+            point = data.xpos[body] + data.xmat[body].reshape(3, 3) @ place.translation
+            data.xfrc_applied[body, :3] += force
+            data.xfrc_applied[body, 3:] += torque + np.cross(point - data.xipos[body], force)
 
     def forward(self, data: Any) -> np.ndarray:
         """Horizontal part (3,) of the base's forward axis in the world."""

@@ -11,6 +11,7 @@ from trajopt.control.gains import TrackerGains
 from trajopt.control.quadratic_programs import QpSolverName
 from trajopt.errors import InputError, numbers_of, shown
 from trajopt.kinds import Range
+from trajopt.robot.link_wrench import LinkWrench
 
 # Fractions of the robot's natural time sqrt(l / g), with its reach l: step of the simulation, time in which a
 # contact pushes out a penetration, and time in which feedback removes an error of a joint.
@@ -117,6 +118,7 @@ class SimulationSettings:
         gains: of the controller "whole-body"; None: the default ones.
         qp_solver: of the controller "whole-body".
         impulse: another push, of any direction and time, see `Impulse`; or several.
+        wrenches: on links, besides those of the plan.
         events: disturbances of your own, applied in this order, see `Event`.
         sensor_noise: standard deviation of the measured state at every tick, in the units of ``noise``.
         delay: whole ticks by which measured states and contacts are late.
@@ -126,7 +128,7 @@ class SimulationSettings:
             base's forward, left and upward axes, m.
         ground_offsets: m by contact frame, by which its ground is higher than planned, along the normal.
 
-    The plan knows nothing of the scales; the plan and the controller know nothing of the offsets.
+    The plan knows nothing of the scales; plan and controller know nothing of the offsets and wrenches.
     """
 
     timestep: Annotated[float, Range(1e-9, LONGEST)] | None = None
@@ -144,6 +146,7 @@ class SimulationSettings:
     gains: TrackerGains | None = None
     qp_solver: QpSolverName = "piqp"
     impulse: Impulse | Sequence[Impulse] | None = None
+    wrenches: Sequence[LinkWrench] = ()
     events: Sequence[Event] = ()
     sensor_noise: _Share = 0.0
     delay: Annotated[int, Range(0, 100)] = 0

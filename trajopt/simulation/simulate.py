@@ -127,18 +127,21 @@ def require_fitting(settings: SimulationSettings, model: pin.Model, frames: Sequ
         raise InputError(f"com_offset of {aside:g} m to the side of a robot in a plane", "allowed: x and z")
     if any(settings.com_offset) and not model.inertias[BASE_JOINT[kind]].mass > 0:
         raise InputError("com_offset of a robot whose base has no mass", "allowed: none for it")
+    for wrench in settings.wrenches:
+        wrench.place(model)
     for name in settings.ground_offsets:
         if name not in frames:
             raise not_among(frames, name, f"ground_offsets of SimulationSettings for '{name}'")
 
 
 def require_within(settings: SimulationSettings, timeline: ContactTimeline) -> None:
-    """Raise `InputError` for an impulse that starts after the simulation."""
+    """Raise `InputError` for an impulse or a wrench that starts after the simulation."""
     last = timeline.period * (len(timeline.t) - 1)
-    for impulse in settings.impulses:
-        if not impulse.time <= last:
-            what = f"an impulse at {impulse.time:g} s is after the simulation"
-            raise InputError(what, f"allowed: 0 to {last:g} s")
+    starts = [("an impulse", impulse.time) for impulse in settings.impulses]
+    starts += [(f"a wrench on '{wrench.frame}'", wrench.times[0]) for wrench in settings.wrenches]
+    for what, start in starts:
+        if not start <= last:
+            raise InputError(f"{what} at {start:g} s is after the simulation", f"allowed: 0 to {last:g} s")
 
 
 def _report(reference: ReferenceTrajectory, record: SimulationRecord, scene: Scene) -> SimulationReport:

@@ -68,10 +68,11 @@ class SimulatedMotion:
         a = scene.coordinates.accelerations_from_mujoco(record.qpos[:n], record.qvel[:n], record.qacc)
         t = np.append(timeline.t[:n], timeline.t[n - 1] + timeline.period)
         phase = np.array([timeline.phase[first] for first, _ in chunks])
+        wrenches = (*robot.description.wrenches, *self.settings.wrenches)
         # MuJoCo's joint friction includes that of the joints themselves.
         own = joint_force(robot.model, robot.description.joint_forces, q[last], v[last])
         return Solution(
-            description=_description(scene, timeline, phase),
+            description=replace(_description(scene, timeline, phase), wrenches=wrenches),
             statistics=_statistics(self.report, steps, self.plan),
             model=robot.model,
             t=t[rows],

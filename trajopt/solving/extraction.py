@@ -2,7 +2,7 @@
 
 import math
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -24,6 +24,7 @@ from trajopt.problem.bodies import clearance_of, self_margins, shapes_of
 from trajopt.problem.problem import Problem
 from trajopt.robot.actuators.joint_force import joint_force
 from trajopt.robot.contact import Contact, set_rolling_moments
+from trajopt.robot.link_wrench import LinkWrench, wrench_force
 from trajopt.robot.robot import Robot
 from trajopt.robot.stance.minimal_coordinates import StanceMode
 from trajopt.schedule.schedule import Schedule
@@ -68,10 +69,9 @@ def extract(transcription: Transcription, x: np.ndarray, **statistics: Any) -> S
     columns: dict[str, list[np.ndarray]] = {name: [] for name in ("t", "q", "v", "a", "tau", "f")}
     for k in layout.interval_stages:
         phase = int(layout.phase_of[k])
-        interval = _interval(problem, layout, unknowns, int(k), float(steps[k]), float(time_scales[phase]))
-        scheme = layout.scheme_of(phase)
-        inner = times[k] + scheme.c * steps[k]
-        columns["t"].append(np.concatenate([[times[k]], inner, [times[k + 1]]]))
+        t = np.array([times[k], *(times[k] + layout.scheme_of(phase).c * steps[k]), times[k + 1]])
+        interval = _interval(problem, layout, unknowns, int(k), t, float(time_scales[phase]))
+        columns["t"].append(t)
         for name, values in interval.items():
             columns[name].append(values)
     raw = np.concatenate(columns.pop("q"))
@@ -141,14 +141,14 @@ def _widths(layout: Layout, stages: np.ndarray) -> np.ndarray:
 
 
 def _interval(
-    problem: Problem, layout: Layout, unknowns: np.ndarray, k: int, h: float, time_scale: float
+    problem: Problem, layout: Layout, unknowns: np.ndarray, k: int, t: np.ndarray, time_scale: float
 ) -> dict[str, np.ndarray]:
     """Return the motion of the whole robot by the collocation map, and torques by numeric Pinocchio.
 
-    The samples are at the start, the collocation points and the end. ``h`` is the step in s, ``time_scale``
-    the duration over the nominal duration.
+    The samples at times ``t``, s, are the start, the collocation points and the end. ``time_scale`` is the
+    duration over the nominal duration.
     """
-    phase, form = int(layout.phase_of[k]), layout.forms[k]
+    phase, form, h = int(layout.phase_of[k]), layout.forms[k], float(layout.steps[k] * time_scale)
     method = layout.scheme_of(phase)
     window, nv = unknowns[layout.window(k)], form.coordinates.nv
     y = np.array([window[layout.local_derivative(phase, i)] for i in range(method.s)])
@@ -182,10 +182,9 @@ def _interval(
         full = mode.lifted(*full)
         _embed(layout, mode, f, reaction[1:-1])
     robot, f = problem.robot_in(layout.schedule.phases[phase].name), _with_ends(outer, f)
-    if layout.order == 3:
-        tau = _torques(robot, full, f)
-    else:
-        tau = _with_ends(outer, _torques(robot, [part[1:-1] for part in full], f[1:-1]))
+    tau = _torques(robot, problem.wrenches, t, full, f)
+    if layout.order < 3:
+        tau = _with_ends(outer, tau[1:-1])
     return {"q": full[0], "v": full[1], "a": full[2], "f": f, "tau": tau}
 
 
@@ -203,7 +202,8 @@ def torques_at_start(problem: Problem, layout: Layout, k: int, windows: np.ndarr
     if form.order == 3 and not layout.n_wrench(phase):
         second = nodes[:, form.accelerations] / scale[:, 0] ** 2
         motion = _nodes_in_pinocchio(form, state, second)
-        return _torques(robot, list(motion), np.zeros((count, len(robot.contacts), 6)))
+        t, f = np.full(count, layout.node_times[k]), np.zeros((count, len(robot.contacts), 6))
+        return _torques(robot, problem.wrenches, t, list(motion), f)
     y = np.stack([windows[:, layout.local_derivative(phase, i)] for i in range(method.s)], axis=1)
     start = np.zeros((count, nv))
     start[:, form.coordinates.additive_index] = state[:, form.additive]
@@ -218,7 +218,8 @@ def torques_at_start(problem: Problem, layout: Layout, k: int, windows: np.ndarr
     if mode is not None:
         _embed(layout, mode, f, mode.ground_reaction(*motion))
     every = list(motion) if mode is None else mode.lifted(*motion)
-    tau = _torques(robot, every, f).reshape(count, method.s, -1)
+    t = np.tile(layout.node_times[k] + method.c * layout.steps[k], count)
+    tau = _torques(robot, problem.wrenches, t, every, f).reshape(count, method.s, -1)
     return np.einsum("i,nij->nj", method.interpolation(np.zeros(1))[0], tau)
 
 
@@ -273,7 +274,9 @@ def _in_pinocchio(
     return form.coordinates.local_to_pinocchio(np.tile(rotations, (len(xi), 1)), xi, dxi, ddxi)
 
 
-def _torques(robot: Robot, motion: list[np.ndarray], f: np.ndarray) -> np.ndarray:
+def _torques(
+    robot: Robot, wrenches: Sequence[LinkWrench], t: np.ndarray, motion: list[np.ndarray], f: np.ndarray
+) -> np.ndarray:
     """Return the actuated rows of RNEA(q, v, a) - J^T f at every point, for the robot with its payload."""
     model, data = robot.model, robot.model.createData()
     frames = [model.getFrameId(contact.frame) for contact in robot.contacts]
@@ -282,6 +285,7 @@ def _torques(robot: Robot, motion: list[np.ndarray], f: np.ndarray) -> np.ndarra
         for q, v, a, wrench in zip(*motion, f, strict=True)
     ]
     own = joint_force(model, robot.joint_forces, motion[0], motion[1])
+    own += wrench_force(model, wrenches, t, motion[0])
     return robot.actuation.inputs(np.array(forces) - own)
 
 
@@ -330,12 +334,14 @@ def described_robot(problem: Problem) -> dict[str, Any]:
         "thrusters": robot.thrusters,
         "joint_forces": robot.joint_forces,
         "mimics": robot.mimics,
+        "joint_limits": robot.joint_limits,
         "contacts": tuple(_contact(contact, problem.terrain.friction) for contact in robot.contacts),
         "surfaces": _surfaces(problem),
         "patches": _patches(problem),
         "goals": tuple(problem.goals),
         "gravity": tuple(robot.model.gravity.linear.tolist()),
         "payloads": _payloads(problem),
+        "wrenches": problem.wrenches,
         "periodicity": image,
         "drives": () if robot.drives is None else tuple(robot.drives),
         "visual": robot.visual,

@@ -1,11 +1,12 @@
 """Costs and constraints, one idea per file.
 
 Dynamics: `BaseDynamics`, `ContactAcceleration`, `ContactVelocity`, `ImpactDynamics`.
-Limits: `PositionLimits`, `VelocityLimits`, `TorqueLimits`, `DriveLimits`, `AccelerationLimits`, `JerkLimits`.
+Limits: `PositionLimits`, `VelocityLimits`, `TorqueLimits`, `DriveLimits`, `AccelerationLimits`, `JerkLimits`,
+    `TorqueRateLimits`.
 Contact forces: `FrictionCone`, `FrictionPyramid`, `NormalForce`, `SoleCone`, `SoleLimits`, `SlidingFriction`.
 Running costs: `AccelerationCost`, `VelocityCost`, `PostureCost`, `TorqueCost`, `MotorTorqueCost`,
-    `WrenchCost`, `PowerCost`, `TrackingCost`, `TimeCost`, `JerkCost`, `CentreOfMassCost`, `MomentumCost`;
-    `ImpulseCost` at impacts.
+    `WrenchCost`, `PowerCost`, `TrackingCost`, `TimeCost`, `JerkCost`, `TorqueRateCost`, `CentreOfMassCost`,
+    `MomentumCost`; `ImpulseCost` at impacts.
 Constraints at nodes: `ContactLanding`; `FramePose`, `FrameHeight`, `FrameVelocity`, `FrameDirection`,
     `FramesAbove`; `CentreOfMass`, `Momentum`; `TerminalState`, `TerminalRest`, `TerminalVelocity`,
     `TerminalPosture`.

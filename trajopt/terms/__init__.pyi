@@ -11,6 +11,7 @@ from .costs import NodeCost as NodeCost
 from .costs import PostureCost as PostureCost
 from .costs import TimeCost as TimeCost
 from .costs import TorqueCost as TorqueCost
+from .costs import TorqueRateCost as TorqueRateCost
 from .costs import VelocityCost as VelocityCost
 from .costs import WrenchCost as WrenchCost
 from .drives import DriveLimits as DriveLimits
@@ -45,6 +46,7 @@ from .limits import AccelerationLimits as AccelerationLimits
 from .limits import JerkLimits as JerkLimits
 from .limits import PositionLimits as PositionLimits
 from .limits import TorqueLimits as TorqueLimits
+from .limits import TorqueRateLimits as TorqueRateLimits
 from .limits import VelocityLimits as VelocityLimits
 from .objectives import REST as REST
 from .objectives import effort_costs as effort_costs

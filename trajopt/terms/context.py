@@ -16,6 +16,7 @@ from trajopt.dynamics.manifold import Coordinates
 from trajopt.errors import InputError
 from trajopt.robot.actuators.on_robot import drive_torque
 from trajopt.robot.contact import Contact
+from trajopt.robot.link_wrench import LinkWrench
 from trajopt.robot.robot import Robot
 from trajopt.robot.stance.minimal_coordinates import StanceMode
 from trajopt.robot.validation import require_configuration
@@ -27,13 +28,13 @@ from trajopt.terrain.terrain import Ground
 class Context(Parameters):
     """Symbols of one collocation point, node or impact.
 
-    At a collocation point the inputs ``z`` are (rotations, xi and its derivatives, wrenches, time scale); at
-    a node they are its variables; at an impact (rotations, xi, rates before, jump of the rates, impulses,
-    time scale). Entries that a problem lacks (the time scale of a fixed duration, xi'' of a velocity source,
-    the third derivative unless jerks are the input) are left out. ``xi`` (nv) are local coordinates (see
-    `trajopt.dynamics.manifold`), ``dxi``, ``ddxi``, ``dddxi`` their derivatives in true time; ``q``, ``v``,
-    ``a`` are Pinocchio's. Wrenches act on the robot, in world axes at the contact frame's origin, N and N m
-    (impulses N s and N m s).
+    At a collocation point the inputs ``z`` are (rotations, xi and its derivatives, wrenches and their rates,
+    time scale); at a node they are its variables; at an impact (rotations, xi, rates before, jump of the
+    rates, impulses, time scale). Entries that a problem lacks (the time scale of a fixed duration, xi'' of a
+    velocity source, third derivatives and wrenches' rates unless jerks are the input) are left out. ``xi``
+    (nv) are local coordinates (see `trajopt.dynamics.manifold`), ``dxi``, ``ddxi``, ``dddxi`` their
+    derivatives in true time; ``q``, ``v``, ``a`` are Pinocchio's. Wrenches act on the robot, in world axes at
+    the contact frame's origin, N and N m (impulses N s and N m s).
 
     Args:
         robot: the robot, in the coordinates used here.
@@ -48,6 +49,7 @@ class Context(Parameters):
         kept_rows: independent rows of each contact's motion, by the contact's name; default all.
         near: state of a node (n_node,) from which goals take their whole turns; None for no whole turns.
         guess: the guess's configuration (nq,) at a node, evaluated on demand.
+        given: known wrenches on links; they are parameters, and no impulses.
     """
 
     def __init__(
@@ -65,18 +67,24 @@ class Context(Parameters):
         kept_rows: Mapping[str, tuple[int, ...]] = MappingProxyType({}),
         near: np.ndarray | None = None,
         guess: Callable[[], np.ndarray] | None = None,
+        given: tuple[LinkWrench, ...] = (),
     ) -> None:
         super().__init__()
         self.robot, self.coordinates, self.contacts, self.near = robot, coordinates, contacts, near
         self.guess = guess
         self.place = place or (Place.NODE if node else Place.POINT)
         self.actuation, self._surfaces, self._kept_rows = actuation, surfaces, kept_rows
+        self.given = () if self.place is Place.IMPACT else given
+        # The first parameters: the robot's functions depend on them.
+        self.given_wrenches = ca.vertcat(ca.SX(0, 1), *[self.varying(wrench.at, 6) for wrench in self.given])
         scale = ca.SX.sym("time_scale", 0 if time_scales[1] is None else 1)
         self.time_scale = scale if scale.numel() else ca.SX(1)
         nv, order = coordinates.nv, ORDERS[actuation]
         names = () if self.place is Place.NODE else tuple((c.name, c.dimension) for c in contacts)
         # Symbols are named by their number, so that layers of other contacts are the same function.
         self.unknown_wrenches = {name: ca.SX.sym(f"w{i}", n) for i, (name, n) in enumerate(names)}
+        rated = names if order == 3 and self.place is Place.POINT else ()
+        self._wrench_rates = [ca.SX.sym(f"dw{i}", n) for i, (_, n) in enumerate(rated)]
         self._mode = mode if mode is not None and mode.robot is robot else None
         if self.place is Place.NODE:
             state = ca.SX.sym("x", coordinates.n_node + (order - 2) * nv)
@@ -91,14 +99,14 @@ class Context(Parameters):
             self.xi, rates = ca.SX.sym("xi", nv), ca.SX.sym("dxi", nv)
             highest = ca.SX.sym("ddxi", nv if order >= 2 else 0)
             third = ca.SX.sym("dddxi", nv if order == 3 and self.place is Place.POINT else 0)
-            self.z = ca.vertcat(
-                self.rotations, self.xi, rates, highest, third, *self.unknown_wrenches.values(), scale
-            )
+            wrenches = *self.unknown_wrenches.values(), *self._wrench_rates
+            self.z = ca.vertcat(self.rotations, self.xi, rates, highest, third, *wrenches, scale)
         self._rates = rates / self.time_scale
         power = 1 if self.place is Place.IMPACT else 2
         self._highest = highest / self.time_scale**power if highest.numel() else ca.SX.zeros(nv)
         self._third = third / self.time_scale**3
         self._generalized_forces: ca.SX | None = None
+        self._force_rates: ca.SX | None = None
         self._accelerations: dict[Contact, ca.SX] = {}
         self._frames: dict[str, FrameSymbols] = {}
         self._squares: list[tuple[ca.SX, ca.SX]] = []
@@ -245,7 +253,7 @@ class Context(Parameters):
 
     @property
     def generalized_forces(self) -> ca.SX:
-        """RNEA(q, v, a) minus the contacts' J^T w, (nv,): base rows first, then joints.
+        """RNEA(q, v, a) minus J^T w of contacts and known wrenches, (nv,): base rows first, then joints.
 
         For a velocity source this is static, RNEA(q, 0, 0) - J^T w; at an impact, M (v+ - v-) - J^T impulses.
         """
@@ -303,14 +311,15 @@ class Context(Parameters):
 
     def varies(self, expression: ca.SX) -> bool:
         """Whether an expression depends on the motion or the forces: on a symbol that is no parameter."""
-        symbols = ca.vertcat(self.z, self.dynamics_symbols(), self.frame_symbols())
+        symbols = ca.vertcat(self.z, self.robot_symbols(), self.force_rates)
         return expression.numel() > 0 and bool(ca.depends_on(expression, symbols))
 
     def rate(self, expression: ca.SX) -> ca.SX:
         """Time derivative (n,) of an expression along the motion, at collocation points.
 
         It is the chain rule over ``xi`` and ``dxi`` (and so ``q`` and ``v``), and over the placements and
-        velocities of frames. Accelerations, torques and wrenches have no rates.
+        velocities of frames; where jerks are the input also over ``ddxi`` (and so ``a``), torques and
+        wrenches. Accelerations of frames and contacts have no rates.
 
         Args:
             expression: (n,), of positions and velocities.
@@ -320,22 +329,40 @@ class Context(Parameters):
         """
         if self.place is not Place.POINT:
             raise InputError(f"a term asks for a rate at a {self.place.value}", "allowed: collocation points")
-        nv, start, rates = self.coordinates.nv, self.rotations.numel(), [self.dxi]
-        symbols = [self.xi, *[self.z[start + nv : start + 2 * nv]]]
-        rates.append(self._highest * self.time_scale)
+        symbols, rates, others = self._state_rates()
         for frame in self._frames.values():
             turning = ca.mtimes(ca.skew(frame.velocity[3:]), frame.rotation)
             symbols += [ca.vec(frame.rotation), frame.position, frame.velocity]
             rates += [ca.vec(turning), frame.velocity[:3], frame.acceleration]
-        others = [self.z[start + 2 * nv :], self.dynamics_symbols()]
+        others += [*self._accelerations.values(), self.force_rates]
         others += [frame.acceleration for frame in self._frames.values()]
-        moving = [p for p, value in zip(self._parameters, self._values, strict=True) if callable(value)]
-        if ca.depends_on(expression, ca.vertcat(*others, *moving)):
+        others += [p for p, value in zip(self._parameters, self._values, strict=True) if callable(value)]
+        if ca.depends_on(expression, ca.vertcat(*others)):
             raise InputError(
-                "a term asks for the rate of an acceleration, torque, wrench, duration or reference",
-                "allowed: expressions of positions, velocities and constant parameters",
+                "a term asks for the rate of an acceleration, torque, wrench or reference",
+                "allowed: expressions of positions, velocities and constant parameters; of ddxi, torques and"
+                " wrenches with actuation 'jerk'",
+            )
+        forces = self._generalized_forces
+        if self.given and forces is not None and ca.depends_on(expression, forces):
+            raise InputError(
+                "a term asks for the rate of a torque where a known wrench acts", "allowed: without wrenches"
             )
         return ca.jtimes(expression, ca.vertcat(*symbols), ca.vertcat(*rates))
+
+    def _state_rates(self) -> tuple[list[ca.SX], list[ca.SX], list[ca.SX]]:
+        """Symbols of the inputs and of the forces that have rates, the rates, and the symbols without."""
+        nv, start, order = self.coordinates.nv, self.rotations.numel(), ORDERS[self.actuation]
+        scale, wrenches = self.time_scale, [*self.unknown_wrenches.values()]
+        local = [self.z[start + i * nv : start + (i + 1) * nv] for i in range(order + 1)]
+        rates = [self.dxi, scale * self._highest, scale**2 * self._third][:order]
+        forces = [] if self._generalized_forces is None else [self._generalized_forces]
+        if order < 3:
+            return local[:order], rates, [local[order], *wrenches, *forces]
+        if forces and self._force_rates is None:
+            self._force_rates = ca.SX.sym("dtau", nv)
+        rates += [rate / scale for rate in self._wrench_rates] + [self.force_rates] * len(forces)
+        return [*local[:order], *wrenches, *forces], rates, [local[order], *self._wrench_rates]
 
     def square(self, residual: ca.SX, weight: ca.SX) -> None:
         """Record a least-squares part of a cost for Gauss-Newton, which treats its weights as constants.
@@ -390,8 +417,8 @@ class Context(Parameters):
         return self._frames
 
     def wrench_column(self) -> ca.SX:
-        """Wrenches that are variables in one column, 3 or 6 entries per contact."""
-        return ca.vertcat(*[self.wrenches[contact.name] for contact in self.contacts])
+        """Wrenches that are variables, 3 or 6 entries per contact, then known ones, in one column."""
+        return ca.vertcat(*[self.wrenches[contact.name] for contact in self.contacts], self.given_wrenches)
 
     def dynamics_symbols(self) -> ca.SX:
         """Generalised forces and contact accelerations that terms have used, in one column."""
@@ -401,6 +428,15 @@ class Context(Parameters):
     def frame_symbols(self) -> ca.SX:
         """Symbols of the frames that terms have used, in one column."""
         return ca.vertcat(*[frame.stacked() for frame in self._frames.values()])
+
+    def robot_symbols(self) -> ca.SX:
+        """Symbols of the robot's functions that terms have used, in one column, without rates of forces."""
+        return ca.vertcat(self.dynamics_symbols(), self.frame_symbols())
+
+    @property
+    def force_rates(self) -> ca.SX:
+        """Rates (nv,) of the generalised forces; empty unless a term has asked for rates of torques."""
+        return ca.SX(0, 1) if self._force_rates is None else self._force_rates
 
     @property
     def has_free_flyer(self) -> bool:

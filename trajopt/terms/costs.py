@@ -84,6 +84,24 @@ class JerkCost(Cost):
 
 @checked
 @dataclass(frozen=True, kw_only=True)
+class TorqueRateCost(Cost):
+    """Cost on the rates of joint torques, where jerks are the input.
+
+        w |(d tau / dt) / (m g sqrt(g l))|^2 / nu
+
+    with tau (nu,) the torques that the drives deliver, joint side.
+
+    Args:
+        weight: w, dimensionless.
+    """
+
+    @override
+    def residual(self, context: Context, units: Units) -> ca.SX:
+        return context.rate(context.torque) * units.time / units.torque
+
+
+@checked
+@dataclass(frozen=True, kw_only=True)
 class VelocityCost(Cost):
     """Cost on the rates of the local coordinates.
 

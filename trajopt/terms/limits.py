@@ -1,6 +1,7 @@
 """Limits of joint torques, rates and positions at collocation points (and nodes)."""
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar
@@ -20,6 +21,9 @@ from trajopt.robot.units import Units
 from trajopt.schedule.schedule import Schedule
 from trajopt.terms.context import Context
 from trajopt.terms.interfaces import NodeConstraint, NodePlace, PointConstraint, Rows, Term
+
+# Share of a limit of torque rates that is left for the times between points: what the verdict allows there.
+BETWEEN = 1e-2
 
 
 def _rows_within(
@@ -170,7 +174,43 @@ class PositionLimits(PointConstraint):
 
 @checked
 @dataclass(frozen=True, kw_only=True)
-class AccelerationLimits(PointConstraint):
+class HigherLimits(PointConstraint, ABC):
+    """Derivatives of joint motions or torques within limits, those given or else `Robot.joint_limits`."""
+
+    kind: ClassVar[HigherLimit]
+    unit: ClassVar[str]
+    share: ClassVar[float] = 1.0
+
+    limit: Annotated[np.ndarray, ArrayShape((None,), infinite=True)] | None = None
+
+    def __post_init__(self) -> None:
+        _require_limits(self.name, self.limit, self.unit, least=np.nextafter(0, 1))
+
+    @abstractmethod
+    def quantity(self, context: Context) -> ca.SX:
+        """What is limited (nv,)."""
+
+    def _limits(self, robot: Robot) -> np.ndarray:
+        limit = robot.joint_limit(self.kind) if self.limit is None else np.array(self.limit, dtype=float)
+        if limit.shape != (robot.nv,):
+            raise InputError(f"limit of {self.name} has shape {limit.shape}", f"allowed: ({robot.nv},)")
+        return self.share * limit
+
+    @override
+    def rows(self, context: Context, units: Units) -> Rows | None:
+        limit = self._limits(context.robot)
+        return _rows_within(lambda: self.quantity(context), -limit, limit, getattr(units, self.kind))
+
+    @override
+    def idle(self, robot: Robot, schedule: Schedule) -> str:
+        if np.isfinite(self._limits(robot)).any():
+            return super().idle(robot, schedule)
+        return f"robot '{robot.name}' has no limit of {self.kind.replace('_', ' ')}"
+
+
+@checked
+@dataclass(frozen=True, kw_only=True)
+class AccelerationLimits(HigherLimits):
     """Joint accelerations within limits, at points, and at nodes where jerks are the input.
 
         |xi_j''| <= limit_j
@@ -181,22 +221,14 @@ class AccelerationLimits(PointConstraint):
         limit: (nv,), rad/s^2 or m/s^2, inf where there is none; default `Robot.joint_limits`.
 
     Raises:
-        InputError: for limits that are negative or NaN.
+        InputError: for limits that are not above 0.
     """
 
-    limit: Annotated[np.ndarray, ArrayShape((None,), infinite=True)] | None = None
-
-    def __post_init__(self) -> None:
-        _require_limits(self.name, self.limit, "rad/s^2")
+    kind, unit = "acceleration", "rad/s^2"
 
     @override
-    def rows(self, context: Context, units: Units) -> Rows | None:
-        limit = _fitting_limit(self, self.limit, context, "acceleration")
-        return _rows_within(lambda: context.ddxi, -limit, limit, units.acceleration)
-
-    @override
-    def idle(self, robot: Robot, schedule: Schedule) -> str:
-        return _unlimited(self.limit, robot, "acceleration") or super().idle(robot, schedule)
+    def quantity(self, context: Context) -> ca.SX:
+        return context.ddxi
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -221,7 +253,7 @@ class LimitsAtNodes(NodeConstraint):
 
 @checked
 @dataclass(frozen=True, kw_only=True)
-class JerkLimits(PointConstraint):
+class JerkLimits(HigherLimits):
     """Joint jerks within limits at points, where jerks are the input.
 
         |d3 xi_j / dt3| <= limit_j
@@ -232,49 +264,47 @@ class JerkLimits(PointConstraint):
         limit: (nv,), rad/s^3 or m/s^3, inf where there is none; default `Robot.joint_limits`.
 
     Raises:
-        InputError: for limits that are negative or NaN, and for another input than jerks.
+        InputError: for limits that are not above 0, and for another input than jerks.
     """
 
-    limit: Annotated[np.ndarray, ArrayShape((None,), infinite=True)] | None = None
-
-    def __post_init__(self) -> None:
-        _require_limits(self.name, self.limit, "rad/s^3")
+    kind, unit = "jerk", "rad/s^3"
 
     @override
-    def rows(self, context: Context, units: Units) -> Rows | None:
-        limit = _fitting_limit(self, self.limit, context, "jerk")
-        return _rows_within(lambda: context.dddxi, -limit, limit, units.jerk)
+    def quantity(self, context: Context) -> ca.SX:
+        return context.dddxi
+
+
+@checked
+@dataclass(frozen=True, kw_only=True)
+class TorqueRateLimits(HigherLimits):
+    """Rates of joint torques within limits at points, where jerks are the input.
+
+        |d tau_j / dt| <= 0.99 limit_j
+
+    with tau the torques that the drives deliver, joint side. The rates vary between points, where one in a
+    hundred of the limit may be missed. Rows are over m g sqrt(g l).
+
+    Args:
+        limit: (nv,), N m/s or N/s, inf where there is none; default `Robot.joint_limits`.
+
+    Raises:
+        InputError: for limits that are not above 0, and for another input than jerks.
+    """
+
+    kind, unit, share = "torque_rate", "N m/s", 1 - BETWEEN
 
     @override
-    def idle(self, robot: Robot, schedule: Schedule) -> str:
-        return _unlimited(self.limit, robot, "jerk") or super().idle(robot, schedule)
+    def quantity(self, context: Context) -> ca.SX:
+        rows, rates = context.robot.actuated_rows.tolist(), ca.SX.zeros(context.robot.nv)
+        rates[rows] = context.rate(context.torque)[: len(rows)]
+        return rates
 
 
-def _require_limits(term: str, limit: np.ndarray | None, unit: str) -> None:
-    given = np.atleast_1d(np.asarray(0.0 if limit is None else limit, dtype=float))
-    if not np.all(given >= 0):
-        raise InputError(
-            f"limit of {term} holds {given[~(given >= 0)][0]:g}", f"allowed: numbers >= 0, or inf, {unit}"
-        )
-
-
-def _higher_limit(limit: np.ndarray | None, robot: Robot, kind: HigherLimit) -> np.ndarray:
-    """The limits (nv,) that are given, or else the robot's."""
-    return robot.joint_limit(kind) if limit is None else np.asarray(limit, dtype=float)
-
-
-def _unlimited(limit: np.ndarray | None, robot: Robot, kind: HigherLimit) -> str:
-    """Why a term limits nothing; empty if it does."""
-    limited = np.isfinite(_higher_limit(limit, robot, kind)).any()
-    return "" if limited else f"robot '{robot.name}' has no limit of {kind}"
-
-
-def _fitting_limit(term: Term, limit: np.ndarray | None, context: Context, kind: HigherLimit) -> np.ndarray:
-    """The limits (nv,) of a term, given or the robot's. Raises `InputError` for another shape."""
-    rows = _higher_limit(limit, context.robot, kind)
-    if rows.shape != (context.robot.nv,):
-        raise InputError(f"limit of {term.name} has shape {rows.shape}", f"allowed: ({context.robot.nv},)")
-    return rows
+def _require_limits(term: str, limit: np.ndarray | None, unit: str, least: float = 0.0) -> None:
+    given = np.atleast_1d(np.asarray(np.inf if limit is None else limit, dtype=float))
+    if not np.all(given >= least):
+        allowed = f"allowed: numbers {'>' if least else '>='} 0, or inf, {unit}"
+        raise InputError(f"limit of {term} holds {given[~(given >= least)][0]:g}", allowed)
 
 
 def with_far_limits(terms: Sequence[Term], robot: Robot) -> tuple[Term, ...]:

@@ -62,14 +62,15 @@ class Collocation:
         return np.concatenate([*windows, self.node_scale(self.layout.forms[-1])])
 
     def point_gather(self, stage: int, i: int) -> SparseMatrix:
-        """Return the matrix to z at point i: rotations, xi and its derivatives, wrenches, the time scale."""
+        """Return the matrix to z at point i, see `Context`."""
         layout, phase = self.layout, int(self.layout.phase_of[stage])
         scheme, form = layout.scheme_of(phase), layout.form_of(phase)
         weights = [matrix[i] for matrix in scheme.points_of(layout.order)]
         lower = self._lower_derivatives(stage, scheme.c[i], weights)
         eye = np.eye(layout.window_size(stage))
         highest = eye[layout.local_derivative(phase, i)]
-        rows = [eye[form.rotations], *lower, highest, eye[layout.local_wrench(phase, i)]]
+        wrench = [eye[layout.local_wrench(phase, i)], *self._wrench_rates(stage, scheme.c[i], eye)]
+        rows = [eye[form.rotations], *lower, highest, *wrench]
         return SparseMatrix.of(np.vstack([*rows, self._time_scale(eye, form)]) * self.window_scale(stage))
 
     def moment_gather(self, stage: int, fraction: float, loads: tuple[str, ...]) -> SparseMatrix:
@@ -96,8 +97,19 @@ class Collocation:
         places = [(layout.local_derivative(phase, j), layout.local_wrench(phase, j)) for j in range(scheme.s)]
         highest = np.einsum("j,jin->in", weights, np.array([eye[derivative] for derivative, _ in places]))
         wrench = np.einsum("j,jin->in", weights, np.array([eye[derivative] for _, derivative in places]))
-        rows = [eye[form.rotations], *lower, highest, wrench[loaded]]
+        changes = [rate[loaded] for rate in self._wrench_rates(stage, fraction, eye)]
+        rows = [eye[form.rotations], *lower, highest, wrench[loaded], *changes]
         return SparseMatrix.of(np.vstack([*rows, self._time_scale(eye, form)]) * self.window_scale(stage))
+
+    def _wrench_rates(self, stage: int, fraction: float, eye: np.ndarray) -> list[np.ndarray]:
+        """Matrix (n_wrench, window) to the wrenches' rates in nominal time, where jerks are the input."""
+        layout, phase = self.layout, int(self.layout.phase_of[stage])
+        if layout.order < 3:
+            return []
+        scheme = layout.scheme_of(phase)
+        weights = scheme.interpolation_rate(np.array([fraction]))[0] / layout.steps[stage]
+        wrenches = np.array([eye[layout.local_wrench(phase, j)] for j in range(scheme.s)])
+        return [np.tensordot(weights, wrenches, axes=1)]
 
     def impact_gather(self, k: int) -> SparseMatrix:
         """Return the matrix to z at an impact: rotations, xi, rates, their jump, impulses, time scale."""

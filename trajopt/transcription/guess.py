@@ -14,6 +14,7 @@ import pinocchio as pin
 from typing_extensions import override
 
 from trajopt.dynamics.model_quantities import contact_jacobian
+from trajopt.robot.link_wrench import wrench_force
 from trajopt.transcription.layout import Layout
 from trajopt.transcription.timeline import StageKind
 from trajopt.transcription.transcription import Transcription
@@ -146,7 +147,10 @@ class _ProblemGuess(MotionSource):
         else:
             highest = form.coordinates.node_from_pinocchio(q, v)[-form.coordinates.nv :]
             v, a = np.zeros_like(v), np.zeros_like(a)
-        return highest, _carrying_wrenches(layout, phase, q, v, a)
+        t, model = layout.node_times[k] + layout.scheme_of(phase).c[i] * layout.steps[k], form.robot.model
+        given = wrench_force(model, self.transcription.problem.wrenches, t, q)
+        needed = pin.rnea(model, model.createData(), q, v, a) - given
+        return highest, _carrying_wrenches(layout, phase, q, needed)
 
     @override
     def impulses(self, k: int) -> None:
@@ -195,13 +199,12 @@ def node_phase(layout: Layout, k: int) -> int:
     return before if len(layout.touching[before]) > len(layout.touching[after]) else after
 
 
-def _carrying_wrenches(layout: Layout, phase: int, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-    """Least-norm wrenches of active contacts that balance the motion's base rows; zero for a fixed base."""
+def _carrying_wrenches(layout: Layout, phase: int, q: np.ndarray, needed: np.ndarray) -> np.ndarray:
+    """Least-norm contact wrenches with the base rows of ``needed`` (nv,); zero for a fixed base."""
     robot, contacts = layout.form_of(phase).robot, layout.contacts[phase]
     balanced = robot.actuation.balanced
     if not len(robot.actuation.balance) or not contacts:
         return np.zeros(layout.n_wrench(phase))
-    needed = pin.rnea(robot.model, robot.model.createData(), q, v, a)
     places = [(contact.frame, contact.rows) for contact in contacts]
     jacobian = contact_jacobian(robot.model, q, places)
     return np.linalg.lstsq(balanced(jacobian).T, balanced(needed), rcond=None)[0]

@@ -5,7 +5,7 @@ orientation nor on the base's linear velocity (Galilean invariance). Gravity ent
 the base, s = R^T (p'' - g), and wrenches are rotated into base axes. These layers replace one graph over
 (q, v, a, w), so that the rigid-body algorithm is differentiated over 10 fewer inputs:
 
-    z -> (quaternion, omega, omega', p'', joints, w)             exponential coordinates
+    (z, known w) -> (quaternion, omega, omega', p'', joints, w)  exponential coordinates
       -> (omega, s, omega', joints, R^T w, R^T g)                base axes
       -> (tau, contact accelerations)                            Pinocchio, base at the identity
       -> o                                                       outputs that terms use
@@ -21,7 +21,7 @@ import numpy as np
 import pinocchio as pin
 
 from trajopt.dynamics import rigid_body
-from trajopt.dynamics.model_content import frame_content, once_per_content
+from trajopt.dynamics.model_content import frame_content, load_content, once_per_content
 from trajopt.dynamics.rotations import body_rates, exp_quaternion, quaternion_product, rotation_matrix
 from trajopt.robot.contact import Contact
 from trajopt.terms.context import Context
@@ -32,17 +32,33 @@ _Layers = tuple[ca.Function, ...]
 
 
 def robot_layers(context: Context, expression: ca.SX) -> tuple[ca.SX, _Layers]:
-    """Symbols o that ``expression`` uses, and the layers that compute them from the context's z."""
-    groups = [context.dynamics_symbols(), context.frame_symbols()]
-    outputs = ca.vertcat(*groups)
+    """Symbols o that ``expression`` uses, and layers that compute them from z and the known wrenches."""
+    values = context.robot_symbols()
+    outputs, count = ca.vertcat(values, context.force_rates), values.numel()
     pattern = ca.jacobian_sparsity(expression, outputs)
     used = np.unique(pattern.get_triplet()[1]).astype(int)
     if len(used) == 0:
         return ca.SX(0, 1), ()
-    split = groups[0].numel()
-    if np.all(used < split) and context.has_free_flyer:
-        return outputs[used.tolist()], _base_axes_layers(context, used.tolist())
-    return outputs[used.tolist()], _plain_layers(context, used.tolist())
+    needed = np.unique(used % count).tolist()  # rates of forces come last, and forces first
+    in_base = needed[-1] < context.dynamics_symbols().numel() and context.has_free_flyer
+    layers = (_base_axes_layers if in_base else _plain_layers)(context, needed)
+    if used[-1] >= count:
+        places = np.searchsorted(needed, used % count) + len(needed) * (used >= count)
+        layers = _with_rates(context, layers, places.tolist())
+    return outputs[used.tolist()], layers
+
+
+def _with_rates(context: Context, layers: _Layers, used: list[int]) -> _Layers:
+    """Layers from z to these entries of the outputs and their rates, each with its derivative along them."""
+    values = layers[0](context.z)
+    moved = [ca.Function("rates", [context.z], [ca.vertcat(values, context.rate(values))])]
+    for layer in layers[1:]:
+        s, rate = ca.SX.sym("s", layer.numel_in(0)), ca.SX.sym("ds", layer.numel_in(0))
+        values = layer(s)
+        both = ca.vertcat(values, ca.jtimes(values, s, rate))
+        moved.append(ca.Function(layer.name(), [ca.vertcat(s, rate)], [both]))
+    s = ca.SX.sym("s", moved[-1].numel_out(0))
+    return (*moved, ca.Function("used", [s], [s[used]]))
 
 
 def _plain_layers(context: Context, used: list[int]) -> _Layers:
@@ -53,18 +69,20 @@ def _plain_layers(context: Context, used: list[int]) -> _Layers:
     """
     wrench = context.wrench_column()
     sizes = [part.numel() for part in (context.q, context.v, context.a, wrench)]
-    first = ca.Function("to_pinocchio", [context.z], [ca.vertcat(context.q, context.v, context.a, wrench)])
+    inputs = ca.vertcat(context.z, context.given_wrenches)
+    first = ca.Function("to_pinocchio", [inputs], [ca.vertcat(context.q, context.v, context.a, wrench)])
     s = ca.SX.sym("s", sum(sizes))
     q, v, a, forces = ca.vertsplit(s, [0, *np.cumsum(sizes).tolist()])
     levers = {contact: ca.DM(lever) for contact, lever in _levers(context).items()}
     frames, dimensions, w = _loads(_contacts(context), _of_all(context, forces), levers)
     extra = [name for name in context.frames if name not in frames]
     frames, dimensions = frames + extra, dimensions + [0] * len(extra)
-    model = context.robot.model
-    tau, rotation, position, velocity, acceleration = rigid_body.fused(model, frames, dimensions)(q, v, a, w)
+    model, loads = context.robot.model, _given_loads(context)
+    motion = rigid_body.fused(model, frames, dimensions, loads)(q, v, a, w)
+    tau, rotation, position, velocity, acceleration = motion
     if not context.moving:
         still = _floating(model) if context.place is Place.IMPACT else model  # impulses: no gravity
-        tau = rigid_body.fused(still, frames, dimensions)(q, 0, a, w)[0]
+        tau = rigid_body.fused(still, frames, dimensions, loads)(q, 0, a, w)[0]
     parts = [tau] if context.uses_dynamics else []
     for contact in context.used_accelerations:
         motion = acceleration[:, frames.index(contact.frame)]
@@ -93,10 +111,16 @@ def _wrench_size(contact: Contact) -> int:
 
 
 def _of_all(context: Context, wrenches: ca.SX) -> ca.SX:
-    """Wrenches of all contacts in one column, from those of the active ones; zero for the others."""
-    cuts = np.cumsum([0, *map(_wrench_size, context.contacts)]).tolist()
-    active = dict(zip(context.contacts, ca.vertsplit(wrenches, cuts), strict=True))
-    return ca.vertcat(*[active.get(c, ca.SX.zeros(_wrench_size(c))) for c in _contacts(context)])
+    """Wrenches of all contacts in one column, zero for inactive ones, then the known wrenches."""
+    cuts = np.cumsum([0, *map(_wrench_size, context.contacts), 6 * len(context.given)]).tolist()
+    *parts, given = ca.vertsplit(wrenches, cuts)
+    active = dict(zip(context.contacts, parts, strict=True))
+    return ca.vertcat(*[active.get(c, ca.SX.zeros(_wrench_size(c))) for c in _contacts(context)], given)
+
+
+def _given_loads(context: Context) -> tuple:
+    """Contents of the places of the known wrenches, see `rigid_body.fused`."""
+    return tuple(load_content(*wrench.place(context.robot.model)) for wrench in context.given)
 
 
 def _levers(context: Context) -> dict[Contact, np.ndarray]:
@@ -111,14 +135,16 @@ def _loads(
 ) -> tuple[list[str], list[int], ca.SX]:
     """Frames of the contacts, and sizes and column of the wrenches at their origins, in the given axes.
 
-    The force on a rolling ball acts at the point of contact, so it has a moment about the frame's origin.
+    Known wrenches come last. The force on a rolling ball acts at the point of contact, so it has a moment
+    about the frame's origin.
     """
     cuts = np.cumsum([0, *map(_wrench_size, contacts)]).tolist()
+    *by_contact, given = ca.vertsplit(wrenches, [*cuts, wrenches.numel()])
     parts = [
         ca.vertcat(wrench, ca.cross(wrench, levers[contact])) if contact in levers else wrench
-        for contact, wrench in zip(contacts, ca.vertsplit(wrenches, cuts), strict=True)
+        for contact, wrench in zip(contacts, by_contact, strict=True)
     ]
-    return [c.frame for c in contacts], [part.numel() for part in parts], ca.vertcat(*parts)
+    return [c.frame for c in contacts], [part.numel() for part in parts], ca.vertcat(*parts, given)
 
 
 def _base_axes_layers(context: Context, used: list[int]) -> _Layers:
@@ -129,14 +155,14 @@ def _base_axes_layers(context: Context, used: list[int]) -> _Layers:
     rates = ca.vertcat(quaternion, omega, domega, context.ddxi[:3], joints, context.wrench_column())
     contacts, model = _contacts(context), context.robot.model
     frames = tuple(frame_content(model, contact.frame) for contact in contacts)
-    dynamics = _at_identity(model, contacts, frames)
+    dynamics = _at_identity(model, contacts, frames, _given_loads(context))
     starts = np.cumsum([model.nv, *[contact.dimension for contact in contacts]]).tolist()
     outputs = [range(model.nv)] if context.uses_dynamics else []
     outputs += [range(starts[i], starts[i + 1]) for i in map(contacts.index, context.used_accelerations)]
     s = ca.SX.sym("s", dynamics.numel_out(0))
     picked = s[np.concatenate(outputs)[used].tolist()]
     return (
-        ca.Function("body_rates", [context.z], [rates]),
+        ca.Function("body_rates", [ca.vertcat(context.z, context.given_wrenches)], [rates]),
         _to_base_axes(context, joints.numel()),
         dynamics,
         ca.Function("used", [s], [picked]),
@@ -161,21 +187,22 @@ def _to_base_axes(context: Context, n_joints: int) -> ca.Function:
 
 
 @once_per_content
-def _at_identity(model: pin.Model, contacts: tuple[Contact, ...], frames: tuple) -> ca.Function:
+def _at_identity(model: pin.Model, contacts: tuple[Contact, ...], frames: tuple, loads: tuple) -> ca.Function:
     """(omega, s, omega', joints, w, R^T g, levers) -> (tau, accelerations of all contacts), base axes.
 
     Pinocchio's gravity is zero because s contains gravity, which is added back to contact accelerations.
-    ``frames`` holds the contents of the contacts' frames, as part of the cache key.
+    ``frames`` holds the contents of the contacts' frames, as part of the cache key, ``loads`` those of the
+    known wrenches' places.
     """
     n_v, rolling = model.nv - 6, [contact for contact in contacts if contact.rolling]
-    n_wrench = sum(map(_wrench_size, contacts))
+    n_wrench = sum(map(_wrench_size, contacts)) + 6 * len(loads)
     cuts = np.cumsum([0, 3, 6, model.nq - 7, n_v, n_v, n_wrench, 3, *[3] * len(rolling)]).tolist()
     s = ca.SX.sym("s", cuts[-1])
     omega, rate, qj, vj, aj, wrenches, gravity, *arms = ca.vertsplit(s, cuts)
     q, v, a = ca.vertcat(0, 0, 0, 0, 0, 0, 1, qj), ca.vertcat(0, 0, 0, omega, vj), ca.vertcat(rate, aj)
     levers: _Levers = dict(zip(rolling, arms, strict=True))
     names, dimensions, w = _loads(contacts, wrenches, levers)
-    tau, *_, acceleration = rigid_body.fused(_floating(model), names, dimensions)(q, v, a, w)
+    tau, *_, acceleration = rigid_body.fused(_floating(model), names, dimensions, loads)(q, v, a, w)
     parts = [tau]
     for contact in contacts:
         own_gravity = ca.vertcat(gravity, ca.SX.zeros(contact.dimension - 3))

@@ -26,6 +26,7 @@ all the rest, the engine's tapes a few milliseconds.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import Any
 
 import casadi as ca
 
@@ -39,9 +40,9 @@ KEPT_LAYERS = 32  # whose derivatives are kept: those of all points of a problem
 class PointFunction:
     """Terms of one point as a graph in layers, not yet differentiated.
 
-    ``layers`` map z to o, one after the other; ``terms`` maps (z, o, p) to (L, phi). All are small to
-    build, so their serialised text names the derivatives in the cache. ``squares`` maps (z, o, p) to the
-    residuals r and weights w of the costs that are squares; None where there are no costs.
+    ``layers`` map `robot_inputs` to o, one after the other; ``terms`` maps (z, o, p) to (L, phi). All are
+    small to build, so their serialised text names the derivatives in the cache. ``squares`` maps (z, o, p)
+    to the residuals r and weights w of the costs that are squares; None where there are no costs.
     """
 
     name: str
@@ -58,6 +59,11 @@ class PointFunction:
     def n_z(self) -> int:
         """Number of inputs z."""
         return self.terms.numel_in(0)
+
+    def robot_inputs(self, z: Any, p: Any) -> Any:
+        """Inputs of the first layer: z, and the parameters that are known wrenches, which come first."""
+        n_given = self.layers[0].numel_in(0) - self.n_z if self.layers else 0
+        return ca.vertcat(z, p[:n_given, :])  # p[:0] of one entry would be (1, 0)
 
     @cached_property
     def text(self) -> str:
@@ -97,10 +103,10 @@ def _curvature(layer: str) -> ca.Function:
 
 
 class _Chain:
-    """Values s_k and Jacobians D_k of a chain of layers at z, as expressions."""
+    """Values s_k and Jacobians D_k of layers, as expressions; ``inputs`` are z (n_z,) and constants."""
 
-    def __init__(self, layers: Sequence[ca.Function], z: ca.SX) -> None:
-        self.layers, self.values, self.jacobians = layers, [z], []
+    def __init__(self, layers: Sequence[ca.Function], inputs: ca.SX, n_z: int) -> None:
+        self.layers, self.n_z, self.values, self.jacobians = layers, n_z, [inputs], []
         for layer in layers:
             self.jacobians.append(ca.sparsify(_jacobian(_text(layer))(self.values[-1])))
             self.values.append(layer(self.values[-1]))
@@ -112,8 +118,7 @@ class _Chain:
 
     def total_jacobian(self) -> ca.SX:
         """Jacobian of the whole chain, do/dz."""
-        n_z = self.values[0].numel()
-        total = ca.SX.eye(n_z) if self.layers else ca.SX(0, n_z)
+        total = ca.SX.eye(self.values[0].numel())[:, : self.n_z] if self.layers else ca.SX(0, self.n_z)
         for jacobian in self.jacobians:
             total = ca.mtimes(jacobian, total)
         return total
@@ -121,7 +126,7 @@ class _Chain:
     def curvature(self, multiplier: ca.SX, hessian: ca.SX) -> ca.SX:
         """Second derivative in z of multiplier^T o + 1/2 o^T hessian o (both constant)."""
         if not self.layers:
-            return ca.SX(self.values[0].numel(), self.values[0].numel())
+            return ca.SX(self.n_z, self.n_z)
         for layer, value, jacobian in zip(
             reversed(self.layers), reversed(self.values[:-1]), reversed(self.jacobians), strict=True
         ):
@@ -129,7 +134,7 @@ class _Chain:
             hessian = ca.mtimes(ca.mtimes(jacobian.T, hessian), jacobian) + second
             hessian = ca.tril2symm(ca.tril(hessian))  # the graph of its upper triangle is dropped
             multiplier = ca.mtimes(jacobian.T, multiplier)
-        return hessian
+        return hessian[: self.n_z, : self.n_z]
 
 
 class Derivatives:
@@ -184,7 +189,8 @@ class Derivatives:
 
     @cached_property
     def _chain(self) -> _Chain:
-        return _Chain(self._point.layers, self._z)
+        point = self._point
+        return _Chain(point.layers, point.robot_inputs(self._z, self._p), point.n_z)
 
     @cached_property
     def _jacobian(self) -> ca.SX:

@@ -109,8 +109,9 @@ def input_labels(context: Context, form: NodeLayout, free_phases: Sequence[str])
     for kind in kinds:
         labels += coordinate_labels(robot, coordinates, kind)
     names = ("impulse", "angular impulse") if impact else ("force", "moment")
-    for contact in context.contacts:
-        labels += wrench_labels(contact.name, contact.rows, *names)
+    for suffix in ("", " rate") if kinds[-1] == "jerk" else ("",):
+        for contact in context.contacts:
+            labels += wrench_labels(contact.name, contact.rows, *(f"{name}{suffix}" for name in names))
     if form.time_scale is not None:
         labels.append(
             Label(owner=f"phase {free_phases[form.time_scale]}", kind="time scale", quantity="duration")
@@ -130,6 +131,7 @@ class SymbolNames:
                 quantity = torques[row].quantity.replace("torque", "balance")
                 torques[row] = Label(owner=torques[row].owner, kind="balance", quantity=quantity)
             self._add(context.generalized_forces, torques)
+            self._add(context.force_rates, torques[: context.force_rates.numel()])
         for contact in context.used_accelerations:
             rows = context.held_rows(contact)
             labels = wrench_labels(contact.name, rows, "acceleration", "angular acceleration")

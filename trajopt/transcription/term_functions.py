@@ -294,6 +294,7 @@ class TermFunctions:
             mode=self.problem.modes.get(name),
             near=near,
             guess=guess,
+            given=self.problem.wrenches,
         )
 
 
@@ -380,7 +381,7 @@ def _rows(term: Term, method: str, result: Any, context: Context) -> Rows | None
 
 def _require_known(expression: ca.SX, context: Context) -> None:
     """Raise `InputError` for symbols that do not belong to the context."""
-    known = [context.z, context.dynamics_symbols(), context.frame_symbols(), context.parameters]
+    known = [context.z, context.robot_symbols(), context.force_rates, context.parameters]
     free = ca.Function("known", known, [expression], {"allow_free": True}).free_sx()
     if len(free):
         names = ", ".join(dict.fromkeys(str(symbol) for symbol in free))

@@ -66,10 +66,11 @@ def _collocated(
     force = plan.actuation.force(sample.tau)
     step = np.diff(plan.interval_t[numbers.start : numbers.stop], axis=1)[:, None]
     q, v = sample.q, sample.v
+    times = (plan.interval_t[numbers.start : numbers.stop, :1] + step[:, 0] * fractions).ravel()
     ends = np.full((len(numbers), plan.model.nv), np.inf)
     with np.errstate(all="ignore"):
         for _ in range(MOST_SWEEPS):
-            given = force + plan.joint_force(q, v) + _contact_force(motion, q, sample.f)
+            given = force + plan.known_force(times, q, v) + _contact_force(motion, q, sample.f)
             apart = (dynamics.accelerations(q, v, given) - sample.a).reshape(len(numbers), count, -1)
             faster, moved = step * (once @ apart), step**2 * (twice @ apart)
             changed, ends = np.abs(faster[:, -1] - ends).max(), faster[:, -1]

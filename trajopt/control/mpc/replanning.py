@@ -149,10 +149,11 @@ def _require_fitting(robot: Robot, plan: Solution) -> None:
     if (
         about.actuation not in TORQUE_INPUTS
         or about.payloads
+        or about.wrenches
         or not plan.active.any()
         or robot.nu < robot.nv - 6
     ):
-        raise InputError(what, "allowed: torques at all joints, contacts, and no payloads")
+        raise InputError(what, "allowed: torques at all joints, contacts, and no payloads or known wrenches")
     masses = [mass_of(model) for model in (plan.model, robot.model)]
     same = list(plan.model.names) == list(robot.model.names) and math.isclose(*masses, rel_tol=SAME)
     if not same or not set(plan.contact_frames) <= {contact.frame for contact in robot.contacts}:

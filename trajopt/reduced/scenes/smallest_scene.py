@@ -296,8 +296,8 @@ class _Smallest:
         """Return why the problem cannot be reduced, or an empty string."""
         if self.whole.dynamics is not None:
             return "the problem brings its own dynamics"
-        if self.whole.periodicity is not None or self.whole.payloads:
-            return "a periodic motion or a payload is written for all joints"
+        if self.whole.periodicity is not None or self.whole.payloads or self.whole.wrenches:
+            return "a periodic motion, a payload or a wrench is written for all joints"
         return "phases in minimal coordinates are written for all joints" if self.whole.modes else ""
 
     def drop_idle_costs(self) -> None:

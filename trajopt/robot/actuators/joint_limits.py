@@ -1,29 +1,41 @@
 """Limits of joints beyond those of a description: of acceleration, jerk and the rate of torque."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
 
 import numpy as np
 import pinocchio as pin
 
 from trajopt.arguments import UnboundedPositive, checked
-from trajopt.errors import InputError, not_among
+from trajopt.errors import InputError, not_among, require_fields
 
-HigherLimit = Literal["acceleration", "jerk"]
+HigherLimit = Literal["acceleration", "jerk", "torque_rate"]
 
 
 @checked
 @dataclass(frozen=True, kw_only=True)
 class JointLimits:
-    """Largest acceleration and jerk of a joint, rad/s^2 and rad/s^3 (m/s^2, m/s^3), inf where there is none.
+    """Largest acceleration, jerk and rate of torque of a joint, inf where there is none.
 
-    Raises InputError for a limit that is not above 0.
+    They are in rad/s^2, rad/s^3 and N m/s (or m and N). Raises InputError for a limit that is not above 0.
     """
 
     joint: str
     acceleration: UnboundedPositive = np.inf
     jerk: UnboundedPositive = np.inf
+    torque_rate: UnboundedPositive = np.inf
+
+    @classmethod
+    def from_meta(cls, meta: Any) -> "JointLimits":
+        """Limits from their description in a solution file. Raises `InputError` for a malformed one."""
+        require_fields(cls, meta, "a joint's limits")
+        given: dict[str, Any] = {name: np.inf if value is None else value for name, value in meta.items()}
+        return cls(**given)
+
+    def to_meta(self) -> dict[str, Any]:
+        """Fields for JSON."""
+        return asdict(self)
 
 
 def require_joint_limits(model: pin.Model, limits: Sequence[JointLimits]) -> None:

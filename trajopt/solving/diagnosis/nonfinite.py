@@ -44,7 +44,7 @@ def value_function(function: PointFunction, parameters: np.ndarray) -> Evaluatio
     """Return all values of a point function at z in one column."""
 
     def values(z: np.ndarray) -> np.ndarray:
-        o = ca.DM(z)
+        o = function.robot_inputs(ca.DM(z), ca.DM(parameters))
         for layer in function.layers:
             o = layer(o)
         outputs = function.terms(z, o if function.layers else ca.DM(0, 1), parameters)

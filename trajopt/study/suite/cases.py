@@ -14,7 +14,7 @@ ROBOT_FILE = ".py"
 
 @dataclass(frozen=True, kw_only=True, order=True)
 class Pair:
-    """One problem on one robot."""
+    """One problem, followed by a colon and a setting if it has one, on one robot."""
 
     problem: str
     robot: str
@@ -23,6 +23,11 @@ class Pair:
     def name(self) -> str:
         """The pair as one word, ``problem@robot``."""
         return f"{self.problem}@{self.robot}"
+
+    @property
+    def family(self) -> str:
+        """Name of the problem's family."""
+        return self.problem.partition(":")[0]
 
 
 @dataclass(frozen=True, kw_only=True, order=True)
@@ -34,16 +39,20 @@ class Case(Pair):
     @property
     def values(self) -> dict[str, object]:
         """Parameters with which to load the family."""
-        return {"robot": self.robot} if self.takes_robot else {}
+        values: dict[str, object] = {"robot": self.robot} if self.takes_robot else {}
+        _, _, setting = self.problem.partition(":")
+        name, _, value = setting.partition("=")
+        return values | ({name: value} if setting else {})
 
 
 def all_cases(families: Mapping[str, Family]) -> tuple[Case, ...]:
-    """Every family on every robot that it lists, sorted."""
+    """Every family on every robot that it lists, and its variants on theirs, sorted."""
     return tuple(
         sorted(
-            Case(problem=family.name, robot=robot, takes_robot=family.takes_robot)
+            Case(problem=problem, robot=robot, takes_robot=family.takes_robot)
             for family in families.values()
-            for robot in family.robots
+            for problem, robots in family.tested.items()
+            for robot in robots
         )
     )
 
@@ -53,23 +62,21 @@ def select(
 ) -> tuple[Case, ...]:
     """The cases whose problem matches a pattern and whose robot is named; an empty sequence selects all.
 
-    problems: names, or patterns with ``*``, ``?`` and ``[...]``. robots: names, or ``.py`` files that build
-    one. A robot that no family lists is paired with the families that take a robot and list one of its kind.
-    Raises InputError for a pattern or a robot that matches nothing, and if no pair is left.
+    problems: as in `Pair`, or patterns with ``*``, ``?`` and ``[...]``. robots: names, or ``.py`` files that
+    build one. A robot that no family lists is paired with the families that take one and list one of its
+    kind. Raises InputError for a pattern or a robot that matches nothing, and if no pair is left.
     """
+    cases = all_cases(families)
+    names, known = {case.problem for case in cases}, {case.robot for case in cases}
     for pattern in problems:
-        if not any(fnmatchcase(name, pattern) for name in families):
-            raise not_among(sorted(families), pattern, f"problem '{pattern}' is unknown")
-    wanted = {
-        name: family
-        for name, family in families.items()
-        if not problems or any(fnmatchcase(name, pattern) for pattern in problems)
-    }
-    known = {case.robot for case in all_cases(families)}
-    chosen = {case for case in all_cases(wanted) if not robots or case.robot in robots}
+        if not any(fnmatchcase(name, pattern) for name in names):
+            raise not_among(sorted(names), pattern, f"problem '{pattern}' is unknown")
+    chosen = {case for case in cases if not robots or case.robot in robots}
     for robot in robots:
         if robot not in known:
-            chosen |= _unnamed(robot, wanted, known)
+            chosen |= _unnamed(robot, families, known)
+    if problems:
+        chosen = {case for case in chosen if any(fnmatchcase(case.problem, one) for one in problems)}
     if not chosen:
         raise InputError(
             f"no problem of {', '.join(problems) or 'all'} is run on {', '.join(robots)}",
@@ -87,7 +94,8 @@ def _unnamed(robot: str, families: Mapping[str, Family], known: Iterable[str]) -
     elif (kind := kind_if_known(robot)) is None:
         raise not_among(sorted(known), robot, f"robot '{robot}' is unknown")
     return {
-        Case(problem=family.name, robot=robot, takes_robot=True)
+        Case(problem=problem, robot=robot, takes_robot=True)
         for family in families.values()
+        for problem in family.tested
         if family.takes_robot and (kind is None or kind_if_known(family.robot) in (None, kind))
     }

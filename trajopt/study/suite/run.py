@@ -70,7 +70,7 @@ def solve_start(case: Case, settings: SuiteSettings, seed: int | None) -> tuple[
         TrajoptError: if the pair cannot be built.
     """
     begin = time.perf_counter()
-    problem = choose(families(), case.problem).load(case.values)
+    problem = choose(families(), case.family).load(case.values)
     noise: dict[str, Any] = {} if seed is None else {"seed": seed, "perturb": settings.sigma}
     solution = settings.solve(problem, fixed_mesh=settings.fixed_mesh, **noise)
     result = attempt(solution, seed, problem.robot.base != "fixed")

@@ -1,8 +1,8 @@
 """Balance of a replay: centre of mass, zero-moment point and support, by numeric Pinocchio, and their marks.
 
-The external wrench on the robot (and its payload) follows from its momentum,
+The wrench of the contacts on the robot (and its payload) follows from its momentum,
 
-    F = dh/dt - m g        M_p = dk/dt + (c - p) x F
+    F = dh/dt - m g        M_p = dk/dt + (c - p) x F        less known wrenches
 
 with linear and angular momentum h, k (about the centre of mass c). The zero-moment point z lies in the plane
 of the contacts, of normal n: n x M_z = 0, so z = p + n x M_p / (n . F) for any p of that plane (Sardain and
@@ -97,16 +97,21 @@ def balance_of(solution: Solution, motion: ReplayMotion) -> BalanceTrack:
 
 
 def outer_wrenches(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
-    """External force (K, 3) N and moment about the world's origin (K, 3) N m at the samples."""
-    force, moment, com = np.empty((3, solution.n_samples, 3))
+    """Force (K, 3) N of the contacts and moment about the world's origin (K, 3) N m at the samples."""
+    force, moment = np.empty((2, solution.n_samples, 3))
     for phase in np.unique(solution.phase):
         model = solution.carrying_model(int(phase))
         data, weight = model.createData(), mass_of(model) * model.gravity.linear
         for row in np.flatnonzero(solution.phase == phase):
             state = (solution.q[row], solution.v[row], solution.a[row])
             rate = pin.computeCentroidalMomentumTimeVariation(model, data, *state)
-            force[row], moment[row], com[row] = rate.linear - weight, rate.angular, data.com[0]
-    return force, moment + np.cross(com, force)
+            force[row] = rate.linear - weight
+            moment[row] = rate.angular + np.cross(data.com[0], force[row])
+            for wrench in solution.description.wrenches:
+                (joint, place), given = wrench.place(model), wrench.at(solution.t[row])
+                force[row] -= given[:3]
+                moment[row] -= given[3:] + np.cross(data.oMi[joint].act(place).translation, given[:3])
+    return force, moment
 
 
 def _supports(solution: Solution, motion: ReplayMotion) -> list[SupportArea]:
