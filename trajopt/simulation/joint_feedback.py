@@ -80,8 +80,8 @@ class JointFeedback:
 class PlanFeedback(JointFeedback):
     """Feedback of the whole state with the gains of the plan; single joints hold its end.
 
-    The torques of a period are tau = tau_plan + K (x - x_plan), see `Solution.gains`, with x at the end of the
-    period, to which the feedback moves the robot on the contacts that hold. Otherwise a damper of a stance
+    The torques of a period are tau = tau_plan + K (x - x_plan), see `Solution.gains`. The state is that at
+    the end of the period, to which feedback moves the robot on the contacts that hold: a damper of a stance
     would be unstable in discrete time on a leg that has lifted (Tan, Liu and Turk, "Stable
     proportional-derivative controllers", IEEE CG&A 31, 2011). Cycles repeat gains, mirrored as the motion is.
 
