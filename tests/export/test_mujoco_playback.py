@@ -2,6 +2,7 @@
 
 import csv
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -186,3 +187,34 @@ def test_missing_mujoco_is_said_in_one_line(tmp_path: Path, monkeypatch: pytest.
     words = "MuJoCo, which is not installed; pip install mujoco, or the extra 'mujoco'"
     assert_refused_in_one_line(lambda: export_motion(plan, "mujoco", tmp_path / "a"), words)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_gains_of_the_plan_give_the_same_torques_in_mujocos_coordinates(kind: str, tmp_path: Path) -> None:
+    plan, rng = plan_to_export(kind), np.random.default_rng(2)
+    shape = plan.n_intervals, plan.tau.shape[1], 2 * plan.model.nv
+    plan = replace(plan, gain=rng.standard_normal(shape))
+    found = exported(plan, tmp_path, rate=50)
+    model, arrays, k = found.model, found.arrays, 3
+    own = plan.sample(times=[arrays["time"][k]])
+    change, rate = 1e-6 * rng.standard_normal((2, plan.model.nv))
+    q, v = pin.integrate(plan.model, own.q[0], change), own.v[0] + rate
+    qpos, qvel = state_in_mujoco(plan, q, v)
+    difference = np.zeros(model.nv)
+    mujoco.mj_differentiatePos(model, difference, 1.0, arrays["qpos"][k], qpos)
+    torque = arrays["gain"][k] @ np.concatenate([difference, qvel - arrays["qvel"][k]])
+    expected = plan.gains(own.t)[0] @ np.concatenate([change, rate])
+    assert_allclose(torque, expected, rtol=1e-4, atol=1e-4 * np.abs(expected).max())
+
+
+def state_in_mujoco(plan: Solution, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and velocities: of a base along the world's axes, a quaternion with w first."""
+    base = plan.model.joints[1].shortname()
+    if base == "JointModelFreeFlyer":
+        turn = pin.Quaternion(q[3:7]).toRotationMatrix()
+        return np.concatenate([q[:3], q[[6, 3, 4, 5]], q[7:]]), np.concatenate([turn @ v[:3], v[3:]])
+    if base == "JointModelPlanar":
+        (cosine, sine), (x, y) = q[2:4], v[:2]
+        place = [*q[:2], np.arctan2(sine, cosine), *q[4:]]
+        return np.array(place), np.array([cosine * x - sine * y, sine * x + cosine * y, *v[2:]])
+    return q, v
