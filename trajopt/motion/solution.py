@@ -184,7 +184,10 @@ class Solution(RobotMotion):
             InputError: For a plan without gains, and for times outside the motion.
         """
         if self.gain is None:
-            raise InputError("the plan has no gains", "allowed: plans of trajopt.solve(problem, gains=True)")
+            raise InputError(
+                "the plan has no gains",
+                "allowed: plans of trajopt solve --gains, or of solve(problem, gains=True)",
+            )
         start, end = self.interval_t.T
         if times is None:
             number = self.interval
