@@ -106,7 +106,7 @@ def test_the_state_that_a_controller_gets_is_its_own(reach: Solution) -> None:
 @pytest.mark.parametrize(
     ("settings", "said"),
     [
-        ({"controller": "pid"}, "controller of SimulationSettings is 'pid'; .*joints, whole-body"),
+        ({"controller": "pid"}, "controller of SimulationSettings is 'pid'; .*joints, gains, whole-body"),
         ({"controller": 3}, "controller of SimulationSettings is 3; .*TorqueController"),
         ({"controller": Springs}, "controller of SimulationSettings is .*TorqueController"),
         ({"gains": TrackerGains()}, "gains of SimulationSettings .*'joints'; allowed: .*'whole-body'"),

@@ -49,7 +49,7 @@ def run_pairs(names: list[str], settings: SuiteSettings, folder: Path | None = N
 def test_every_family_meets_every_robot_that_it_names():
     cases = all_cases(families())
     assert {one.name for one in cases if one.problem == "t-robots"} == {"t-robots@one", "t-robots@two"}
-    assert len(cases) == sum(len(on) for family in families().values() for on in family.tested.values())
+    assert len(cases) == sum(len(on) for family in families().values() for _, on in family.tested)
     assert list(cases) == sorted(cases)
 
 

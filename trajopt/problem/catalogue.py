@@ -127,8 +127,10 @@ def _fields(thing: Any) -> dict[str, Any] | None:
     """Fields of a family or parameter that are listed; None for a function."""
     if callable(thing):
         return None
-    names = ("takes_robot",) if isinstance(thing, Family) else ("name", "meaning", "unit", "lower", "upper")
-    return {name: getattr(thing, name) for name in names} | vars(thing)
+    family = isinstance(thing, Family)
+    names = ("takes_robot", "tested") if family else ("name", "meaning", "unit", "lower", "upper")
+    stated = {name: value for name, value in vars(thing).items() if name != "variants"}  # in `tested`
+    return {name: getattr(thing, name) for name in names} | stated
 
 
 def published_optima() -> tuple[PublishedOptimum, ...]:

@@ -170,9 +170,9 @@ class Family:
             self.parameter(name).parse(value)
 
     @property
-    def tested(self) -> dict[str, tuple[str, ...]]:
-        """Robots on which it is tested, by its name, followed by a colon and a setting if there is one."""
-        return {self.name: self.robots} | {f"{self.name}:{key}": on for key, on in self.variants.items()}
+    def tested(self) -> list[tuple[str, tuple[str, ...]]]:
+        """Its name, followed by a colon and a setting if there is one, and the robots it is tested on."""
+        return [(self.name, self.robots), *((f"{self.name}:{key}", on) for key, on in self.variants.items())]
 
     @property
     def takes_robot(self) -> bool:

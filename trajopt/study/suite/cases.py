@@ -51,7 +51,7 @@ def all_cases(families: Mapping[str, Family]) -> tuple[Case, ...]:
         sorted(
             Case(problem=problem, robot=robot, takes_robot=family.takes_robot)
             for family in families.values()
-            for problem, robots in family.tested.items()
+            for problem, robots in family.tested
             for robot in robots
         )
     )
@@ -96,6 +96,6 @@ def _unnamed(robot: str, families: Mapping[str, Family], known: Iterable[str]) -
     return {
         Case(problem=problem, robot=robot, takes_robot=True)
         for family in families.values()
-        for problem in family.tested
+        for problem, _ in family.tested
         if family.takes_robot and (kind is None or kind_if_known(family.robot) in (None, kind))
     }
