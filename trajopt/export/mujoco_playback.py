@@ -9,7 +9,7 @@ import numpy as np
 
 from trajopt.export.archives import contact_arrays, names_array, write_archive
 from trajopt.export.exported_motion import ExportedMotion
-from trajopt.motion.cycles import gains_in_passes
+from trajopt.motion.cycles import gains_in_passes, pass_numbers
 from trajopt.robot.mujoco_package import mujoco_package, muted_mujoco
 from trajopt.simulation.joint_feedback import gains_of
 from trajopt.simulation.mjcf import mjcf_of_scene
@@ -76,7 +76,7 @@ def _plan_gains(motion: ExportedMotion, scene: Scene, qpos: np.ndarray) -> np.nd
     A base's linear velocity in its own axes also changes as they turn.
     """
     plan, nv = motion.plan, motion.model.nv
-    number = (motion.phase - motion.source) // len(plan.phase_names)
+    number = pass_numbers(plan, motion)
     begun, ended = plan.interval_t[0, 0], plan.interval_t[-1, 1]
     times = np.clip(motion.t - number * (ended - begun) + begun, begun, ended)
     gains = gains_in_passes(plan, times, number)

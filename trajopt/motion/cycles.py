@@ -109,13 +109,18 @@ class CycleImage:
 def gains_in_passes(plan: Solution, times: np.ndarray, number: np.ndarray) -> np.ndarray:
     """Return feedback gains (n, nu, 2 nv) of a plan at ``times`` (n,) in passes ``number`` (n,).
 
-    Times are those of the plan, s. Raises `InputError` for a plan without gains.
+    Times are those of the plan, s. Gains are of the base's own axes, so that only a reflection changes them,
+    and two cancel. Raises `InputError` for a plan without gains.
     """
-    gains = plan.gains(times)
-    for past in range(int(number.max(initial=0))):
-        later = number > past
-        gains[later] = CycleImage.of(plan).of_gains(gains[later])
+    gains, odd = plan.gains(times), number % 2 == 1
+    if odd.any():
+        gains[odd] = CycleImage.of(plan).of_gains(gains[odd])
     return gains
+
+
+def pass_numbers(plan: Solution, motion: SampledMotion) -> np.ndarray:
+    """Return the pass (n,), from 0, in which each sample of a repeated plan lies, see `in_passes`."""
+    return np.asarray((motion.phase - motion.source) // len(plan.phase_names))
 
 
 def in_passes(plan: Solution, motion: SampledMotion, number: np.ndarray) -> SampledMotion:

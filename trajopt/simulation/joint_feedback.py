@@ -25,7 +25,7 @@ from typing_extensions import override
 
 from trajopt.control.reference import ReferenceTrajectory
 from trajopt.dynamics.model_quantities import contact_jacobian
-from trajopt.motion.cycles import gains_in_passes, moving_rows
+from trajopt.motion.cycles import gains_in_passes, moving_rows, pass_numbers
 from trajopt.motion.sampled_motion import SampledMotion
 from trajopt.robot.mujoco_package import mujoco_package
 from trajopt.simulation.bodies import write_inertias
@@ -38,6 +38,8 @@ EVERY = 5
 FASTEST = 1.0
 # Contact rows depend on others below this part of the largest eigenvalue of their inverse inertia.
 DEPENDENT = 1e-9
+# Ticks whose gains of a plan are interpolated at once.
+STRETCH = 100
 # Stiffness of stance legs over that at which the body just falls.
 STIFFER = 4.0
 
@@ -92,17 +94,17 @@ class PlanFeedback(JointFeedback):
         super().__init__(scene, reference, settings)
         plan = self._plan = reference.plan
         plan.gains(times=plan.interval_t[:1, 0])  # refused before the first tick
-        self._number = (reference.phase - reference.source) // len(plan.phase_names)
+        self._number = pass_numbers(plan, reference)
         first = np.searchsorted(self._number, self._number)
         self._times = plan.interval_t[0, 0] + (np.arange(len(first)) - first) * reference.period
+        self._stretch, self._gains = -1, np.zeros(0)
 
     @override
     def torque(self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray) -> np.ndarray:
         reference, k = self._reference, round(t / self._reference.period)
         if k >= reference.planned:
             return super().torque(t, q, v, touching)
-        now, nv, period = slice(k, k + 1), self._plan.model.nv, reference.period
-        gain = gains_in_passes(self._plan, self._times[now], self._number[now] % 2)[0]
+        gain, nv, period = self._gain(k), self._plan.model.nv, reference.period
         rate, model = v - reference.v[k], self._scene.site.models[int(reference.source[k])]
         change = np.concatenate([pin.difference(model, reference.q[k], q) + period * rate, rate])
         inverse = self._inverse_inertia(model, q, np.asarray(touching, dtype=bool) & reference.active[k])
@@ -110,6 +112,15 @@ class PlanFeedback(JointFeedback):
         damping = gain[:, nv:] + period * gain[:, :nv]
         feedback = np.linalg.solve(np.eye(len(gain)) - damping @ response, gain @ change)
         return np.asarray(reference.drive_torque[k] + feedback)
+
+    def _gain(self, k: int) -> np.ndarray:
+        """Gain (nu, 2 nv) of tick ``k``, from those of a stretch of ticks."""
+        stretch, row = divmod(k, STRETCH)
+        if stretch != self._stretch:
+            ticks = slice(stretch * STRETCH, min((stretch + 1) * STRETCH, self._reference.planned))
+            self._gains = gains_in_passes(self._plan, self._times[ticks], self._number[ticks])
+            self._stretch = stretch
+        return np.asarray(self._gains[row])
 
     def _inverse_inertia(self, model: pin.Model, q: np.ndarray, standing: np.ndarray) -> np.ndarray:
         """Accelerations per force (nv, nv) with the contacts ``standing`` (nc,) held."""

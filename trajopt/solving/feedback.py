@@ -95,6 +95,9 @@ class _Form:
     matrix: np.ndarray
 
 
+NOTHING = _Form(np.zeros(0, dtype=int), np.zeros((0, 0)))
+
+
 class _Tail:
     """The linearised rest of a plan from each of its nodes, at scaled variables ``x``."""
 
@@ -106,19 +109,18 @@ class _Tail:
         multipliers: tuple[np.ndarray, np.ndarray],
         stiffness: float,
     ) -> None:
-        from scipy import sparse  # slow to import
-
         t = self.transcription = nlp.transcription
         self.layout, self.x, self.plan = t.layout, x, plan
         self.jacobian, (rows, bounds) = nlp.jacobian(x), multipliers
-        entries = np.array(nlp.engine.hessian(x, 1.0, rows)), (nlp.hessian_row, nlp.hessian_column)
-        lower = sparse.csr_matrix(entries, shape=(len(x), len(x)))
-        self.hessian = (lower + sparse.tril(lower, -1).T).tocsr()
+        self.hessian = nlp.lagrangian_hessian(x, rows)
         self.equal = t.lower_g == t.upper_g
         self.row_weight = _weights(np.array(nlp.engine.g(x)), t.lower_g, t.upper_g, rows)
         self.stiffness = stiffness * self._curvature_of_inputs()
         self.bound_weight = np.minimum(_weights(x, t.lower_x, t.upper_x, bounds), self.stiffness)
         self.adapts = t.problem.periodicity is None and t.problem.duration_bounds is None
+        scales = [self.layout.node(k).start + form.time_scales for k, form in enumerate(self.layout.forms)]
+        self.held = np.concatenate(scales)[: 0 if self.adapts else None]
+        self.rows = [self._rows(k) for k in range(self.layout.n_stages + 1)]
 
     def _curvature_of_inputs(self) -> float:
         """Median curvature of the Lagrangian in an input, per natural time, scaled units."""
@@ -135,7 +137,7 @@ class _Tail:
     def gains(self) -> np.ndarray:
         """Gains (I, nu, 2 nv) at the start of every interval."""
         layout, last = self.layout, self.layout.n_stages
-        to_go = self._with_node(last, _Form(np.zeros(0, dtype=int), np.zeros((0, 0))))
+        to_go = self._with_node(last, NOTHING)
         if self.transcription.problem.periodicity is not None:
             for _ in range(CYCLES):
                 start = to_go
@@ -162,16 +164,13 @@ class _Tail:
 
     def _used(self, columns: np.ndarray) -> np.ndarray:
         """The columns without durations that are held."""
-        if self.adapts or not self.layout.forms[0].n_time_scales:
-            return columns
-        held = [self.layout.node(k).start + form.time_scales for k, form in enumerate(self.layout.forms)]
-        return np.setdiff1d(columns, np.concatenate(held))
+        return np.setdiff1d(columns, self.held)
 
     def _with_node(self, k: int, form: _Form) -> _Form:
         """The form with the springs of the rows and bounds of node k."""
         node = self.layout.node(k)
         columns = np.union1d(self._used(np.arange(node.start, node.stop)), form.columns)
-        rows, matrix = self._rows(k)[0], np.zeros((len(columns), len(columns)))
+        rows, matrix = self.rows[k][0], np.zeros((len(columns), len(columns)))
         place = np.searchsorted(columns, form.columns)
         matrix[np.ix_(place, place)] = form.matrix
         if k == self.layout.n_stages:
@@ -193,7 +192,7 @@ class _Tail:
 
         ``joined`` keeps the rows that join its inputs to those before.
         """
-        window, rows = self.layout.window(k), self._rows(k)[1]
+        window, rows = self.layout.window(k), self.rows[k][1]
         if not joined:
             touched = self.jacobian[rows]
             first = np.minimum.reduceat(touched.indices, touched.indptr[:-1])
@@ -227,7 +226,7 @@ class _Tail:
         image[np.arange(nv), described.index] = described.sign
         turn, last = np.kron(np.eye(2), image), self.layout.n_stages
         change = self._change(0, start, 0) @ turn.T
-        end = self._with_node(last, _Form(np.zeros(0, dtype=int), np.zeros((0, 0))))
+        end = self._with_node(last, NOTHING)
         back = np.linalg.pinv(self._change(last, None, -1))
         return replace(end, matrix=back.T @ (change.T @ start.matrix @ change) @ back)
 

@@ -42,6 +42,14 @@ class Nlp:
         entries = np.array(self.engine.jacobian(x)), (self.row, self.column)
         return sparse.csr_matrix(entries, shape=(self.transcription.n_rows, len(x)))
 
+    def lagrangian_hessian(self, x: np.ndarray, multipliers: np.ndarray) -> "sparse.csr_matrix":
+        """Hessian (n_unknowns, n_unknowns) of f + multipliers . g at scaled variables ``x`` (n_unknowns,)."""
+        from scipy import sparse  # slow to import
+
+        entries = np.array(self.engine.hessian(x, 1.0, multipliers)), (self.hessian_row, self.hessian_column)
+        lower = sparse.csr_matrix(entries, shape=(len(x), len(x)))
+        return (lower + sparse.tril(lower, -1).T).tocsr()
+
 
 class _Pattern:
     """Union of sparsity patterns, and the index of each entry among its sorted nonzeros."""

@@ -76,10 +76,7 @@ class Snapshot:
     def hessian(self) -> sparse.csr_matrix:
         """Hessian of the Lagrangian; without multipliers, of the objective."""
         known = np.zeros(self.transcription.n_rows) if self.row_multiplier is None else self.row_multiplier
-        values = np.asarray(self.nlp.engine.hessian(self.x, 1.0, known)).copy()
-        place = (self.nlp.hessian_row, self.nlp.hessian_column)
-        lower = sparse.csr_matrix((values, place), shape=(len(self.x),) * 2)
-        return (lower + sparse.tril(lower, -1).T).tocsr()
+        return self.nlp.lagrangian_hessian(self.x, known)
 
     @cached_property
     def stationarity(self) -> float | None:
