@@ -150,30 +150,28 @@ def _interval(
     """
     phase, form, h = int(layout.phase_of[k]), layout.forms[k], float(layout.steps[k] * time_scale)
     method = layout.scheme_of(phase)
-    window, nv = unknowns[layout.window(k)], form.coordinates.nv
-    y = np.array([window[layout.local_derivative(phase, i)] for i in range(method.s)])
+    window = unknowns[layout.window(k)]
     nodes = [layout.forms[node].state(unknowns[layout.node(node)])[0] for node in (k, k + 1)]
-    start, rates = np.zeros(nv), nodes[0][-nv:]
-    start[form.coordinates.additive_index] = nodes[0][form.additive]
-    rotations, outer = nodes[0][form.rotations], method.interpolation(np.array([0.0, 1.0]))
+    outer = method.interpolation(np.array([0.0, 1.0]))
     if layout.order >= 2:
-        xi, dxi, ddxi = _at_points(form, method, (start, rates, window[form.accelerations]), y, h, time_scale)
-        q, v, a = _in_pinocchio(form, rotations, xi, dxi, ddxi)
+        q, v, a = _motion_at_points(layout, k, window[None], h, time_scale)
         edge = (*form.coordinates.node_to_pinocchio(np.array(nodes)), np.tensordot(outer, a, axes=1))
         if layout.order == 3:
             second = np.array([form.acceleration(unknowns[layout.node(node)]) for node in (k, k + 1)])
             edge = _nodes_in_pinocchio(form, np.array(nodes), second)
     else:
+        y, rotations = _inputs(layout, k, window[None])[0][0], nodes[0][form.rotations]
+        start = np.zeros(form.coordinates.nv)
+        start[form.coordinates.additive_index] = nodes[0][form.additive]
         fractions = np.concatenate([[0.0], method.c, [1.0]])
         weights = np.vstack([np.zeros(method.s), method.A1, method.b1])
         first = method.interpolation(fractions) @ y / time_scale
         second = method.interpolation_rate(fractions) @ y / (time_scale * h)
-        every = _in_pinocchio(form, rotations, start + h * weights @ y / time_scale, first, second)
+        xi = start + h * weights @ y / time_scale
+        every = form.coordinates.local_to_pinocchio(np.tile(rotations, (len(xi), 1)), xi, first, second)
         q, v, a = (part[1:-1] for part in every)
         edge = (form.coordinates.node_to_pinocchio(np.array(nodes))[0], every[1][[0, -1]], every[2][[0, -1]])
-    wrenches = [window[layout.local_wrench(phase, i)] for i in range(method.s)]
-    levers = problem.levers[phase]
-    f = np.array([_wrenches(layout, layout.contacts[phase], wrench, levers) for wrench in wrenches])
+    f = _forces_at_points(problem, layout, k, window[None])
     full = [np.concatenate([e[:1], p, e[1:]]) for p, e in zip((q, v, a), edge, strict=True)]
     mode = layout.modes.get(layout.schedule.phases[phase].name)
     if mode is not None:
@@ -196,7 +194,7 @@ def torques_at_start(problem: Problem, layout: Layout, k: int, windows: np.ndarr
     """
     phase, form = int(layout.phase_of[k]), layout.forms[k]
     method, name, nodes = layout.scheme_of(phase), layout.schedule.phases[phase].name, windows[:, : form.size]
-    state, nv, count = form.state(nodes), form.coordinates.nv, len(windows)
+    state, count = form.state(nodes), len(windows)
     scale = np.array([form.scale_of(node) for node in nodes[:, form.time_scales]])[:, None, None]
     robot, mode = problem.robot_in(name), layout.modes.get(name)
     if form.order == 3 and not layout.n_wrench(phase):
@@ -204,23 +202,44 @@ def torques_at_start(problem: Problem, layout: Layout, k: int, windows: np.ndarr
         motion = _nodes_in_pinocchio(form, state, second)
         t, f = np.full(count, layout.node_times[k]), np.zeros((count, len(robot.contacts), 6))
         return _torques(robot, problem.wrenches, t, list(motion), f)
-    y = np.stack([windows[:, layout.local_derivative(phase, i)] for i in range(method.s)], axis=1)
-    start = np.zeros((count, nv))
-    start[:, form.coordinates.additive_index] = state[:, form.additive]
-    points = _at_points(
-        form, method, (start, state[:, -nv:], nodes[:, form.accelerations]), y, layout.steps[k] * scale, scale
-    )
-    rotations = np.repeat(state[:, form.rotations], method.s, axis=0)
-    motion = form.coordinates.local_to_pinocchio(rotations, *(part.reshape(-1, nv) for part in points))
-    wrenches = np.stack([windows[:, layout.local_wrench(phase, i)] for i in range(method.s)], axis=1)
-    rows, levers = wrenches.reshape(count * method.s, -1), problem.levers[phase]
-    f = np.array([_wrenches(layout, layout.contacts[phase], row, levers) for row in rows])
+    motion = _motion_at_points(layout, k, windows, layout.steps[k] * scale, scale)
+    f = _forces_at_points(problem, layout, k, windows)
     if mode is not None:
         _embed(layout, mode, f, mode.ground_reaction(*motion))
     every = list(motion) if mode is None else mode.lifted(*motion)
     t = np.tile(layout.node_times[k] + method.c * layout.steps[k], count)
     tau = _torques(robot, problem.wrenches, t, every, f).reshape(count, method.s, -1)
     return np.einsum("i,nij->nj", method.interpolation(np.zeros(1))[0], tau)
+
+
+def _inputs(layout: Layout, k: int, windows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Highest derivatives (n, s, nv) and wrenches (n, s, n_wrench) at the points of windows (n, window)."""
+    phase = int(layout.phase_of[k])
+    points = range(layout.scheme_of(phase).s)
+    y = np.stack([windows[:, layout.local_derivative(phase, i)] for i in points], axis=1)
+    return y, np.stack([windows[:, layout.local_wrench(phase, i)] for i in points], axis=1)
+
+
+def _motion_at_points(
+    layout: Layout, k: int, windows: np.ndarray, h: float | np.ndarray, time_scale: float | np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return q, v, a (n s, ...) at the points of interval k, from windows (n, window); see `_at_points`."""
+    form, method = layout.forms[k], layout.scheme_of(int(layout.phase_of[k]))
+    nodes, nv = windows[:, : form.size], form.coordinates.nv
+    state, start = form.state(nodes), np.zeros((len(windows), nv))
+    start[:, form.coordinates.additive_index] = state[:, form.additive]
+    begun = start, state[:, -nv:], nodes[:, form.accelerations]
+    points = _at_points(form, method, begun, _inputs(layout, k, windows)[0], h, time_scale)
+    rotations = np.repeat(state[:, form.rotations], method.s, axis=0)
+    return form.coordinates.local_to_pinocchio(rotations, *(part.reshape(-1, nv) for part in points))
+
+
+def _forces_at_points(problem: Problem, layout: Layout, k: int, windows: np.ndarray) -> np.ndarray:
+    """Return the wrenches of all contacts (n s, nc, 6) at the points of interval k."""
+    phase, wrenches = int(layout.phase_of[k]), _inputs(layout, k, windows)[1]
+    contacts, levers = layout.contacts[phase], problem.levers[phase]
+    rows = wrenches.reshape(wrenches.shape[0] * wrenches.shape[1], -1)
+    return np.array([_wrenches(layout, contacts, row, levers) for row in rows])
 
 
 def _embed(layout: Layout, mode: StanceMode, f: np.ndarray, reaction: np.ndarray) -> None:
@@ -266,12 +285,6 @@ def _nodes_in_pinocchio(
     xi = np.zeros((len(states), nv))
     xi[:, form.coordinates.additive_index] = states[:, form.additive]
     return form.coordinates.local_to_pinocchio(states[:, form.rotations], xi, states[:, -nv:], second)
-
-
-def _in_pinocchio(
-    form: NodeLayout, rotations: np.ndarray, xi: np.ndarray, dxi: np.ndarray, ddxi: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    return form.coordinates.local_to_pinocchio(np.tile(rotations, (len(xi), 1)), xi, dxi, ddxi)
 
 
 def _torques(
